@@ -1,0 +1,1 @@
+"""Calibration: the model frame, camera intrinsics and hand-eye, kept in a record."""

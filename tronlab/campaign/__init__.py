@@ -1,0 +1,1 @@
+"""A campaign YAML, its immutable shots, and the engine that runs them."""

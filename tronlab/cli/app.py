@@ -1,0 +1,64 @@
+"""The command ``tronlab``: its sub-commands, and how errors reach a person.
+
+Only typer is imported here; whatever a command needs it imports when it runs, so that ``--help``
+stays instant.
+"""
+
+import sys
+from collections.abc import Sequence
+
+import typer
+
+from tronlab.cli.calibrate import calibrate
+from tronlab.cli.dataset import dataset
+from tronlab.cli.demo import demo
+from tronlab.cli.report import report
+from tronlab.cli.run import run
+from tronlab.cli.score import score
+from tronlab.errors import TronlabError
+
+EXIT_USER_ERROR = 2
+EXIT_INTERRUPTED = 130
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Test campaigns for optical navigation: run, score and report.",
+)
+for command in (demo, run, score, report, calibrate):
+    app.command()(command)
+app.add_typer(dataset, name="dataset")
+
+
+@app.callback(invoke_without_command=True)
+def _root(
+    version: bool = typer.Option(False, "--version", help="Print the version and exit."),
+) -> None:
+    if version:
+        from tronlab import __version__
+
+        typer.echo(f"tronlab {__version__}")
+        raise typer.Exit
+
+
+def main() -> None:
+    """Run the command line: a user's mistake is one message and exit code 2, never a traceback."""
+    try:
+        app()
+    except TronlabError as error:
+        _fail([error])
+    except ExceptionGroup as group:
+        ours, others = group.split(TronlabError)
+        if others is not None or ours is None:
+            raise
+        _fail(ours.exceptions)
+    except KeyboardInterrupt:
+        typer.echo("interrupted", err=True)
+        sys.exit(EXIT_INTERRUPTED)
+
+
+def _fail(errors: Sequence[BaseException]) -> None:
+    for error in errors:
+        typer.echo(f"error: {error}", err=True)
+    sys.exit(EXIT_USER_ERROR)

@@ -1,0 +1,1 @@
+"""What a laboratory device must do, what it reports, and how one is found."""

@@ -1,0 +1,90 @@
+"""What devices report: immutable values in SI units, each with the time it was taken."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from tronlab.geometry.poses import FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceIdentity:
+    """Which device answers; calibration records and datasets name it."""
+
+    maker: str
+    model: str
+    serial: str
+    firmware: str
+
+
+@dataclass(frozen=True, slots=True)
+class PointReading:
+    """One stationary measurement of a reflector."""
+
+    target: str
+    """Name of the reflector."""
+    p_trk_m: FloatArray
+    """Centre of the reflector, shape (3,), frame trk."""
+    covariance_m2: FloatArray
+    """Covariance of ``p_trk_m``, shape (3, 3)."""
+    time_s: float
+    """Middle of the measurement, seconds since 1970 UTC."""
+
+
+@dataclass(frozen=True, slots=True)
+class PoseReading:
+    """One stationary measurement of the T-MAC."""
+
+    trk_from_tmac: RigidTransform
+    covariance: FloatArray
+    """Of (rotation vector, translation) in trk, shape (6, 6), rad and m; see geometry.uncertainty."""
+    time_s: float
+    """Middle of the measurement, seconds since 1970 UTC."""
+
+
+@dataclass(frozen=True, slots=True)
+class RobotTarget:
+    """Where the robot shall stand: the rail, and the flange relative to the base upon it."""
+
+    rail_m: float
+    base_from_flange: RigidTransform
+
+
+@dataclass(frozen=True, slots=True)
+class RobotReading:
+    """Where the robot's own encoders say it stands."""
+
+    rail_m: float
+    base_from_flange: RigidTransform
+    time_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One image and how it was taken."""
+
+    image: NDArray[np.uint8] | NDArray[np.uint16]
+    """Grey values, shape (rows, columns); Mono8 as uint8, Mono12 as uint16 of 0 to 4095."""
+    pixel_format: str
+    """``Mono8`` or ``Mono12``."""
+    exposure_s: float
+    gain_db: float
+    frame_id: int
+    """The camera's own count of frames; never used to pair images with poses."""
+    time_s: float
+    """Middle of the exposure, seconds since 1970 UTC."""
+
+
+@dataclass(frozen=True, slots=True)
+class RoomReading:
+    """State of the room."""
+
+    air_temperature_k: float
+    air_pressure_pa: float
+    relative_humidity: float
+    """0 to 1."""
+    is_door_closed: bool
+    is_lamp_on: bool
+    time_s: float

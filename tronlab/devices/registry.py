@@ -1,0 +1,109 @@
+"""From a driver's name in a rig file to a device: through the entry points ``tronlab.devices``.
+
+An entry point is a factory ``factory(context: DeviceContext) -> Device``; nothing is imported
+before its name is asked for.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, field
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, TypeVar
+
+from tronlab.devices.protocols import Camera, Device, Operator, PoseTracker, Robot, RoomIO
+from tronlab.errors import ConfigError, TronlabError
+
+ENTRY_POINT_GROUP = "tronlab.devices"
+
+KINDS: Mapping[str, type[Device]] = {
+    "robot": Robot,
+    "tracker": PoseTracker,
+    "camera": Camera,
+    "room": RoomIO,
+    "operator": Operator,
+}
+"""The devices a rig has, and the Protocol each keeps."""
+
+T = TypeVar("T")
+
+
+@dataclass
+class DeviceContext:
+    """What a device factory may know."""
+
+    name: str
+    """The device's name in the rig file."""
+    options: Mapping[str, Any]
+    """The device's own settings from the rig file."""
+    seed: int
+    """Seed of every random number of this run; hardware ignores it."""
+    world: object | None
+    """Description of the simulated world, for devices that are views of it."""
+    shared: dict[str, object] = field(default_factory=dict[str, object])
+    """One for all devices of a rig: simulated devices keep their common world here."""
+
+    def share(self, key: str, make: Callable[[], T]) -> T:
+        """Give the object of that key, made by the first device that asks."""
+        if key not in self.shared:
+            self.shared[key] = make()
+        return self.shared[key]  # pyright: ignore[reportReturnType]  # keys belong to their makers
+
+
+@dataclass(frozen=True)
+class Devices:
+    """The devices of a rig, connected."""
+
+    robot: Robot
+    tracker: PoseTracker
+    camera: Camera
+    room: RoomIO
+    operator: Operator
+
+    def all(self) -> tuple[Device, ...]:
+        """Give every device."""
+        return self.robot, self.tracker, self.camera, self.room, self.operator
+
+
+def known_drivers() -> dict[str, EntryPoint]:
+    """Give every installed driver by name."""
+    return {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP)}
+
+
+def make_device(driver: str, kind: str, context: DeviceContext) -> Device:
+    """Make one device, not yet connected.
+
+    Raises:
+        ConfigError: No such driver, or it does not keep the Protocol of its kind.
+    """
+    drivers = known_drivers()
+    if driver not in drivers:
+        raise ConfigError(
+            f"no driver '{driver}'; installed drivers: {', '.join(sorted(drivers)) or 'none'}",
+            key=f"devices.{kind}.driver",
+        )
+    device = drivers[driver].load()(context)
+    if not isinstance(device, KINDS[kind]):
+        raise ConfigError(
+            f"driver '{driver}' is not a {KINDS[kind].__name__}", key=f"devices.{kind}.driver"
+        )
+    return device
+
+
+@contextmanager
+def connected(devices: Devices) -> Iterator[Devices]:
+    """Connect every device, and close all of them at the end.
+
+    Raises:
+        ExceptionGroup: Of every device that failed to connect, not only the first.
+    """
+    with ExitStack() as stack:
+        failures: list[TronlabError] = []
+        for device in devices.all():
+            stack.callback(device.close)
+            try:
+                device.connect()
+            except TronlabError as error:
+                failures.append(error)
+        if failures:
+            raise ExceptionGroup(f"{len(failures)} of {len(devices.all())} devices failed to connect", failures)
+        yield devices

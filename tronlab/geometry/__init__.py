@@ -1,0 +1,1 @@
+"""Poses, the graph of named frames, alignment of points, and the camera model."""

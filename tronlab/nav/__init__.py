@@ -1,0 +1,1 @@
+"""Navigation cores: from an image to the pose of the camera, by landmarks of a database."""

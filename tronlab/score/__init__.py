@@ -1,0 +1,1 @@
+"""Errors of a navigation core against a dataset's ground truth."""

@@ -1,0 +1,1 @@
+"""Camera poses of a campaign, in the order they are flown."""

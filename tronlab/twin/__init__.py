@@ -1,0 +1,1 @@
+"""The simulated laboratory: one seeded world, and devices that are views of it."""
