@@ -1,4 +1,4 @@
-"""The values a dataset holds: what is recorded of a shot, and the reference views of the terrain."""
+"""The values a dataset holds: records of shots, and the reference views of the terrain."""
 
 from dataclasses import dataclass
 
@@ -17,9 +17,9 @@ class Truth:
 
     trs_from_cam: RigidTransform
     covariance: FloatArray
-    """Of (rotation vector, translation) in trs, shape (6, 6), rad and m; see geometry.uncertainty."""
+    """Of (rotation vector, translation) in trs, (6, 6), rad and m; see geometry.uncertainty."""
     range_los_m: float
-    """Distance from the camera centre to the terrain along the optical axis (paper, section 1.1)."""
+    """Distance from camera centre to terrain along the optical axis (paper, section 1.1)."""
     usable_fraction: float
     """Part of the image that shows the model: set pixels of the mask over all pixels, 0 to 1."""
 

@@ -39,7 +39,7 @@ class PoseReading:
 
     trk_from_tmac: RigidTransform
     covariance: FloatArray
-    """Of (rotation vector, translation) in trk, shape (6, 6), rad and m; see geometry.uncertainty."""
+    """Of (rotation vector, translation) in trk, (6, 6), rad and m; see geometry.uncertainty."""
     time_s: float
     """Middle of the measurement, seconds since 1970 UTC."""
 

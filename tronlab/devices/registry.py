@@ -4,7 +4,7 @@ An entry point is a factory ``factory(context: DeviceContext) -> Device``; nothi
 before its name is asked for.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
@@ -15,7 +15,7 @@ from tronlab.errors import ConfigError, TronlabError
 
 ENTRY_POINT_GROUP = "tronlab.devices"
 
-KINDS: Mapping[str, type[Device]] = {
+KINDS: Mapping[str, Any] = {
     "robot": Robot,
     "tracker": PoseTracker,
     "camera": Camera,
@@ -90,7 +90,7 @@ def make_device(driver: str, kind: str, context: DeviceContext) -> Device:
 
 
 @contextmanager
-def connected(devices: Devices) -> Iterator[Devices]:
+def connected(devices: Devices) -> Generator[Devices]:
     """Connect every device, and close all of them at the end.
 
     Raises:
@@ -105,5 +105,7 @@ def connected(devices: Devices) -> Iterator[Devices]:
             except TronlabError as error:
                 failures.append(error)
         if failures:
-            raise ExceptionGroup(f"{len(failures)} of {len(devices.all())} devices failed to connect", failures)
+            raise ExceptionGroup(
+                f"{len(failures)} of {len(devices.all())} devices failed to connect", failures
+            )
         yield devices

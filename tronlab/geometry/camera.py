@@ -1,12 +1,12 @@
 """The pinhole camera with Brown-Conrady distortion.
 
-Pixel coordinates ``uv`` have their origin at the centre of the top-left pixel; u grows to the right,
-v down. A ray is given by its normalised image coordinates (x, y): the direction (x, y, 1) in cam, so
-that its parameter is the depth along the optical axis.
+Pixel coordinates ``uv`` have their origin at the centre of the top-left pixel; u grows to the
+right, v down. A ray is given by its normalised image coordinates (x, y): the direction (x, y, 1) in
+cam, so that its parameter is the depth along the optical axis.
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -45,10 +45,22 @@ class CameraModel:
         Raises:
             CalibrationError: A key is missing or unknown, or a value has the wrong form.
         """
+        names = {field.name for field in fields(cls)}
+        if set(values) != names:
+            wrong = ", ".join(sorted(names.symmetric_difference(values)))
+            raise CalibrationError(f"camera model: missing or unknown: {wrong}")
         try:
             k1, k2, p1, p2, k3 = (float(k) for k in values["distortion"])
-            return cls(**{**values, "distortion": (k1, k2, p1, p2, k3)})
-        except (KeyError, TypeError, ValueError) as error:
+            return cls(
+                width_px=int(values["width_px"]),
+                height_px=int(values["height_px"]),
+                fx_px=float(values["fx_px"]),
+                fy_px=float(values["fy_px"]),
+                cx_px=float(values["cx_px"]),
+                cy_px=float(values["cy_px"]),
+                distortion=(k1, k2, p1, p2, k3),
+            )
+        except (TypeError, ValueError) as error:
             raise CalibrationError(f"camera model: {error}") from error
 
     def to_dict(self) -> dict[str, Any]:

@@ -1,6 +1,7 @@
 """A graph of named frames: say how neighbours lie, ask how any two lie."""
 
 from collections import deque
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -67,7 +68,7 @@ class FrameGraph:
         if not path:
             raise FrameError(f"no path between frame '{a}' and frame '{b}'")
         a_from_b = RigidTransform.identity()
-        for parent, child in zip(path, path[1:], strict=False):
+        for parent, child in pairwise(path):
             a_from_b = a_from_b * self._edges[parent][child]
         return a_from_b
 

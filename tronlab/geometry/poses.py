@@ -18,7 +18,9 @@ FloatArray: TypeAlias = NDArray[np.float64]
 ROTATION_TOLERANCE = 1e-6
 """Largest departure of R R^T from the identity, or of a quaternion's norm from 1, accepted."""
 
-CAM_FROM_BLENDER_CAM = RigidTransform.from_rotation(Rotation.from_matrix(np.diag([1.0, -1.0, -1.0])))
+CAM_FROM_BLENDER_CAM = RigidTransform.from_rotation(
+    Rotation.from_matrix(np.diag([1.0, -1.0, -1.0]))
+)
 """Blender's camera frame has the Y- and Z-axis of the camera frame reversed (paper, Fig. 4)."""
 
 

@@ -1,7 +1,7 @@
 """First-order propagation of pose covariance.
 
-A pose ``a_from_b`` = (R, t) with covariance means R_true = exp([dw]x) R and t_true = t + dt: a small
-rotation vector dw and a small translation dt, both in the parent frame a. Covariances are of
+A pose ``a_from_b`` = (R, t) with covariance means R_true = exp([dw]x) R and t_true = t + dt: a
+small rotation vector dw and a small translation dt, both in the parent frame a. Covariances are of
 (dw, dt), shape (6, 6), rad and metres, rotation first.
 """
 
@@ -28,9 +28,7 @@ def compose_covariance(
 def inverse_covariance(a_from_b: RigidTransform, cov_a_from_b: FloatArray) -> FloatArray:
     """Give the covariance (6, 6) of ``a_from_b.inv()``."""
     r_inv = a_from_b.rotation.as_matrix().T
-    jacobian = -np.block(
-        [[r_inv, np.zeros((3, 3))], [r_inv @ skew(a_from_b.translation), r_inv]]
-    )
+    jacobian = -np.block([[r_inv, np.zeros((3, 3))], [r_inv @ skew(a_from_b.translation), r_inv]])
     return jacobian @ cov_a_from_b @ jacobian.T
 
 
