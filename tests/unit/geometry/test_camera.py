@@ -1,0 +1,93 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tronlab.errors import CalibrationError
+from tronlab.geometry.camera import CameraModel
+
+CAMERA = CameraModel(
+    width_px=1024,
+    height_px=768,
+    fx_px=744.0,
+    fy_px=745.5,
+    cx_px=515.2,
+    cy_px=380.1,
+    distortion=(-0.11, 0.06, 4e-4, -3e-4, -0.01),
+)
+
+in_image = st.tuples(st.floats(-0.5, 1023.5), st.floats(-0.5, 767.5))
+
+
+@given(in_image)
+def test_rays_and_pixels_are_inverse(uv):
+    np.testing.assert_allclose(CAMERA.pixels(CAMERA.rays(uv)), uv, atol=1e-8)
+
+
+@given(in_image, st.floats(0.1, 50))
+def test_a_point_on_a_ray_projects_to_its_pixel(uv, depth_m):
+    x, y = CAMERA.rays(uv)
+    np.testing.assert_allclose(
+        CAMERA.project([x * depth_m, y * depth_m, depth_m])[0], uv, atol=1e-7
+    )
+
+
+@pytest.mark.opencv
+def test_projection_equals_opencvs():
+    cv2 = pytest.importorskip("cv2")
+    points = np.random.default_rng(1).uniform([-2, -1.5, 2], [2, 1.5, 5], size=(500, 3))
+    expected, _ = cv2.projectPoints(
+        points, np.zeros(3), np.zeros(3), CAMERA.matrix, np.array(CAMERA.distortion)
+    )
+    np.testing.assert_allclose(CAMERA.project(points), expected[:, 0], atol=1e-9)
+
+
+def test_points_behind_the_camera_have_no_pixel():
+    uv = CAMERA.project([[0, 0, 1], [0, 0, -1], [0, 0, 0]])
+    assert np.isfinite(uv[0]).all()
+    assert np.isnan(uv[1:]).all()
+
+
+def test_a_crop_sees_the_same_rays():
+    crop = CAMERA.cropped(left_px=100, top_px=50, width_px=640, height_px=480)
+    np.testing.assert_allclose(crop.rays([10.0, 20.0]), CAMERA.rays([110.0, 70.0]), atol=1e-12)
+    assert crop.shape == (480, 640)
+
+
+def test_the_ray_table_is_the_ray_of_every_pixel_centre():
+    small = replace(CAMERA, width_px=5, height_px=4)
+    table = small.ray_table(du_px=0.25, dv_px=-0.25)
+    assert table.shape == (4, 5, 2)
+    np.testing.assert_allclose(table[2, 3], small.rays([3.25, 1.75]), atol=1e-12)
+
+
+def test_the_field_of_view_is_that_of_the_outer_pixel_borders():
+    ideal = CameraModel(
+        width_px=1024, height_px=1024, fx_px=773.5, fy_px=773.5, cx_px=511.5, cy_px=511.5
+    )
+    assert np.degrees(ideal.horizontal_fov_rad) == pytest.approx(67.0, abs=0.05)
+
+
+def test_a_model_survives_its_plain_form():
+    assert CameraModel.from_dict(CAMERA.to_dict()) == CAMERA
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"fx": 1.0}, "missing or unknown: fx"),
+        ({"distortion": [0.0, 0.0]}, "expected 5"),
+        ({"fx_px": "wide"}, "could not convert"),
+    ],
+)
+def test_a_damaged_plain_form_is_refused(change, message):
+    with pytest.raises(CalibrationError, match=message):
+        CameraModel.from_dict({**CAMERA.to_dict(), **change})
+
+
+def test_a_distortion_that_folds_the_image_is_refused():
+    folded = replace(CAMERA, distortion=(-2.0, 0.0, 0.0, 0.0, 0.0))
+    with pytest.raises(CalibrationError, match="cannot be inverted"):
+        folded.ray_table()
