@@ -10,7 +10,7 @@ from tronlab.geometry.uncertainty import (
     pose_difference,
 )
 
-N_DRAWS = 4000
+N_DRAWS = 1000
 
 
 def random_pose(rng):
@@ -22,8 +22,9 @@ def random_covariance(rng):
     return root @ root.T + 1e-10 * np.eye(6)
 
 
-def draw(rng, pose, covariance):
-    return perturb(pose, rng.multivariate_normal(np.zeros(6), covariance))
+def draws(rng, pose, covariance):
+    differences = rng.multivariate_normal(np.zeros(6), covariance, size=N_DRAWS)
+    return [perturb(pose, difference) for difference in differences]
 
 
 def assert_is_covariance(differences, covariance):
@@ -44,14 +45,8 @@ def test_covariance_of_a_product_agrees_with_draws(seed):
     rng = np.random.default_rng(seed)
     first, second = random_pose(rng), random_pose(rng)
     cov_first, cov_second = random_covariance(rng), random_covariance(rng)
-    differences = np.array(
-        [
-            pose_difference(
-                first * second, draw(rng, first, cov_first) * draw(rng, second, cov_second)
-            )
-            for _ in range(N_DRAWS)
-        ]
-    )
+    pairs = zip(draws(rng, first, cov_first), draws(rng, second, cov_second), strict=True)
+    differences = np.array([pose_difference(first * second, a * b) for a, b in pairs])
     assert_is_covariance(differences, compose_covariance(first, cov_first, second, cov_second))
 
 
@@ -59,9 +54,8 @@ def test_covariance_of_a_product_agrees_with_draws(seed):
 def test_covariance_of_the_inverse_agrees_with_draws(seed):
     rng = np.random.default_rng(seed)
     pose, covariance = random_pose(rng), random_covariance(rng)
-    differences = np.array(
-        [pose_difference(pose.inv(), draw(rng, pose, covariance).inv()) for _ in range(N_DRAWS)]
-    )
+    inverses = [drawn.inv() for drawn in draws(rng, pose, covariance)]
+    differences = np.array([pose_difference(pose.inv(), inverse) for inverse in inverses])
     assert_is_covariance(differences, inverse_covariance(pose, covariance))
 
 
