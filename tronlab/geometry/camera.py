@@ -111,7 +111,7 @@ class CameraModel:
 
     def pixels(self, rays: ArrayLike) -> FloatArray:
         """Give the pixel coordinates uv, shape (..., 2), of rays (x, y), shape (..., 2)."""
-        distorted = _distort(np.asarray(rays, dtype=np.float64), self.distortion)
+        distorted = distort(np.asarray(rays, dtype=np.float64), self.distortion)
         return distorted * [self.fx_px, self.fy_px] + [self.cx_px, self.cy_px]
 
     def rays(self, uv: ArrayLike) -> FloatArray:
@@ -135,7 +135,8 @@ class CameraModel:
         return self.rays(np.stack(np.meshgrid(u, v), axis=-1))
 
 
-def _distort(xy: FloatArray, coefficients: tuple[float, ...]) -> FloatArray:
+def distort(xy: FloatArray, coefficients: tuple[float, ...]) -> FloatArray:
+    """Give the distorted image coordinates, shape (..., 2), of rays (x, y), shape (..., 2)."""
     k1, k2, p1, p2, k3 = coefficients
     x, y = xy[..., 0], xy[..., 1]
     r2 = x * x + y * y
@@ -154,17 +155,20 @@ def _undistort(target: FloatArray, coefficients: tuple[float, ...]) -> FloatArra
         return target
     xy = target.copy()
     for _ in range(_NEWTON_STEPS):
-        residual = _distort(xy, coefficients) - target
+        residual = distort(xy, coefficients) - target
+        jacobian = distortion_jacobian(xy, coefficients)
         if np.abs(residual).max() < _NEWTON_TOLERANCE:
-            return xy
-        xy = xy - _solve_2x2(_distortion_jacobian(xy, coefficients), residual)
+            if _determinant(jacobian).min() > 0 and jacobian[..., 0, 0].min() > 0:
+                return xy
+            break  # a root beyond the fold, where the image runs backward
+        xy = xy - _solve_2x2(jacobian, residual)
     raise CalibrationError(
         f"camera model: distortion {coefficients} cannot be inverted over the whole image;"
         " check the coefficients and their order (k1, k2, p1, p2, k3)"
     )
 
 
-def _distortion_jacobian(xy: FloatArray, coefficients: tuple[float, ...]) -> FloatArray:
+def distortion_jacobian(xy: FloatArray, coefficients: tuple[float, ...]) -> FloatArray:
     """Give d(distorted)/d(x, y), shape (..., 2, 2)."""
     k1, k2, p1, p2, k3 = coefficients
     x, y = xy[..., 0], xy[..., 1]
@@ -178,7 +182,11 @@ def _distortion_jacobian(xy: FloatArray, coefficients: tuple[float, ...]) -> Flo
 
 
 def _solve_2x2(a: FloatArray, b: FloatArray) -> FloatArray:
-    determinant = a[..., 0, 0] * a[..., 1, 1] - a[..., 0, 1] * a[..., 1, 0]
+    determinant = _determinant(a)
     x = (a[..., 1, 1] * b[..., 0] - a[..., 0, 1] * b[..., 1]) / determinant
     y = (a[..., 0, 0] * b[..., 1] - a[..., 1, 0] * b[..., 0]) / determinant
     return np.stack([x, y], axis=-1)
+
+
+def _determinant(a: FloatArray) -> FloatArray:
+    return a[..., 0, 0] * a[..., 1, 1] - a[..., 0, 1] * a[..., 1, 0]
