@@ -1,29 +1,37 @@
-# make demo: the main job on the simulated laboratory; make test: every check. Both set up all they need.
+# make demo: the main job on the simulated laboratory.   make test: every check.
+# Both set up all they need in .venv, from a fresh clone.
 PYTHON ?= python3
-VENV := .venv
-BIN := $(VENV)/bin
+BIN := .venv/bin
 OUT ?= out/demo
+# The tests that touch OpenCV run a second time with its older major version, laid over the first.
+OPENCV4 := .opencv4
 
 .PHONY: demo test lint types clean
 
-demo: $(VENV)/ready
+demo: .venv/ready
 	$(BIN)/tronlab demo --out $(OUT)
 
-test: $(VENV)/ready lint types
-	$(BIN)/pytest
+test: .venv/ready $(OPENCV4)/ready lint types
+	$(BIN)/pytest -n auto
+	PYTHONPATH=$(OPENCV4) $(BIN)/pytest -n auto -m opencv
 
-lint: $(VENV)/ready
+lint: .venv/ready
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports
 
-types: $(VENV)/ready
+types: .venv/ready
 	$(BIN)/pyright
 
-$(VENV)/ready: pyproject.toml constraints.txt
-	$(PYTHON) -m venv $(VENV)
+.venv/ready: pyproject.toml constraints.txt
+	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[test]'
 	touch $@
 
+$(OPENCV4)/ready: .venv/ready
+	$(BIN)/pip install --quiet --no-deps --upgrade --target $(OPENCV4) \
+		'opencv-contrib-python-headless==4.14.*'
+	touch $@
+
 clean:
-	rm -rf $(VENV) out
+	rm -rf .venv $(OPENCV4) out
