@@ -18,6 +18,10 @@ class DeviceIdentity:
     serial: str
     firmware: str
 
+    def __str__(self) -> str:
+        """Give ``maker model serial firmware``; what the device does not say is left out."""
+        return " ".join(filter(None, (self.maker, self.model, self.serial, self.firmware)))
+
 
 @dataclass(frozen=True, slots=True)
 class PointReading:

@@ -7,11 +7,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from tronlab.errors import TronlabError
 from tronlab.geometry.camera import CameraModel
 from tronlab.geometry.poses import FloatArray
 
 Photometry: TypeAlias = Literal["lambert", "lunar_lambert"]
 RaysPerPixel: TypeAlias = Literal[1, 4]
+
+
+class RenderError(TronlabError):
+    """An image cannot be rendered as asked."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,127 @@
+"""A small simulated laboratory in files: 64 x 64 pixels, a coarse terrain, a few shots."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from ruamel.yaml import YAML
+
+from tronlab.calib.record import IDENTIFIED_DEVICES, CalibrationRecord
+from tronlab.campaign.provenance import device_identities
+from tronlab.campaign.rig import load_rig
+from tronlab.devices.registry import connected
+from tronlab.terrain.heightmap import HeightMap
+from tronlab.twin.truth import build_laboratory
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
+
+
+@pytest.fixture
+def edit_yaml() -> Callable[..., None]:
+    """``edit_yaml(path, "a.b", value)`` changes one key of a YAML file."""
+
+    def edit(path: Path, key: str, value: object) -> None:
+        yaml = YAML()
+        root = yaml.load(path.read_text())
+        *parents, last = key.split(".")
+        node = root
+        for parent in parents:
+            node = node[parent]
+        node[last] = value
+        with path.open("w") as file:
+            yaml.dump(root, file)
+
+    return edit
+
+
+@pytest.fixture
+def rig_path(tmp_path: Path) -> Path:
+    """The repository's twin, smaller."""
+    yaml = YAML()
+    rig: dict[str, Any] = yaml.load((REPOSITORY / "campaigns/rigs/twin.yaml").read_text())
+    rig["laboratory"]["camera"].update(
+        sensor_width_px=96,
+        sensor_height_px=64,
+        left_px=16,
+        top_px=0,
+        width_px=64,
+        height_px=64,
+        pixel_pitch_m=1e-4,
+    )
+    rig["terrain"].update(spacing_m=0.01)
+    rig["world"]["surface"]["rays_per_pixel"] = 1
+    rig["world"]["lens"]["principal_point_sigma_px"] = 1.0
+    path = tmp_path / "rig.yaml"
+    with path.open("w") as file:
+        yaml.dump(rig, file)
+    return path
+
+
+@pytest.fixture
+def make_record(tmp_path: Path) -> Callable[[Path], Path]:
+    """``make_record(rig_path)`` writes a perfect calibration record: the world's own truth."""
+
+    def make(rig_path: Path) -> Path:
+        rig = load_rig(rig_path)
+        assert rig.config.world is not None
+        laboratory = build_laboratory(rig.config.laboratory, rig.config.world)
+        flat = HeightMap(np.zeros((3, 3), np.float32), 1.0, np.zeros(3))
+        devices = rig.open_devices(0, load_heightmap=lambda: flat)
+        with connected(devices):
+            identities = device_identities(devices)
+        path = tmp_path / "record.json"
+        CalibrationRecord(
+            rig_name=rig.name,
+            created_utc="2026-01-01T00:00:00Z",
+            software={"tronlab": "test"},
+            devices={name: identities[name] for name in IDENTIFIED_DEVICES},
+            camera=laboratory.camera,
+            camera_covariance=1e-6 * np.eye(9),
+            trs_from_trk=laboratory.trk_from_trs.inv(),
+            trs_from_trk_covariance=1e-12 * np.eye(6),
+            tmac_from_cam=laboratory.flange_from_tmac.inv() * laboratory.flange_from_cam,
+            tmac_from_cam_covariance=1e-12 * np.eye(6),
+            p_lamp_trs_m=laboratory.p_light_trs_m,
+            p_lamp_trs_covariance_m2=1e-6 * np.eye(3),
+            statistics={},
+            inputs={},
+        ).save(path)
+        return path
+
+    return make
+
+
+@pytest.fixture
+def campaign_path(tmp_path: Path, rig_path: Path, make_record: Callable[[Path], Path]) -> Path:
+    """A campaign of 5 shots, 2 reference views."""
+    make_record(rig_path)
+    path = tmp_path / "campaign.yaml"
+    path.write_text(
+        """\
+name: small
+title: A small campaign
+rig: rig.yaml
+calibration: record.json
+seed: 3
+trajectory:
+  kind: straight_line
+  start_trs_m: [1.08, 2.08, 3.0]
+  end_trs_m: [1.08, 2.08, 2.0]
+  n_points: 5
+database:
+  n_views: 2
+  rays_per_pixel: 1
+camera:
+  exposure_s: 0.02
+settle:
+  wait_s: 0.0
+"""
+    )
+    return path

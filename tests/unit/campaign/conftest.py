@@ -1,0 +1,227 @@
+"""Fake devices that log what they are asked, and draw into the image where the robot stands."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import RigidTransform
+
+from tronlab.calib.record import CalibrationRecord
+from tronlab.campaign.config import CampaignConfig
+from tronlab.campaign.plan import Plan, Shot
+from tronlab.campaign.shot import ShotTaker, TruthSource
+from tronlab.devices.readings import (
+    DeviceIdentity,
+    Frame,
+    PointReading,
+    PoseReading,
+    RobotReading,
+    RobotTarget,
+    RoomReading,
+)
+from tronlab.devices.registry import Devices
+from tronlab.geometry.camera import CameraModel
+from tronlab.geometry.poses import FloatArray
+from tronlab.terrain.heightmap import HeightMap
+
+CAMERA = CameraModel(width_px=16, height_px=12, fx_px=12.0, fy_px=12.0, cx_px=7.5, cy_px=5.5)
+
+
+@dataclass
+class Laboratory:
+    """What the fakes share: the log of calls, where the robot stands, and scripted failures."""
+
+    log: list[str] = field(default_factory=list[str])
+    rail_m: float = 0.0
+    failures: dict[tuple[str, int], Exception] = field(
+        default_factory=dict[tuple[str, int], Exception]
+    )
+    """By call and its number, from 1."""
+    on_call: Callable[[str], None] = lambda call: None
+    shifts_m: list[float] = field(default_factory=list[float])
+    """How far the T-MAC seems to have moved at each look, until there are no more."""
+
+    def call(self, name: str) -> None:
+        self.log.append(name)
+        self.on_call(name)
+        failure = self.failures.get((name, self.log.count(name)))
+        if failure is not None:
+            raise failure
+
+
+@dataclass
+class Fake:
+    laboratory: Laboratory
+    name: str
+
+    def connect(self) -> None: ...
+
+    def close(self) -> None: ...
+
+    def identify(self) -> DeviceIdentity:
+        return DeviceIdentity(maker="Fake", model=self.name, serial="1", firmware="")
+
+
+class FakeRobot(Fake):
+    def check(self, target: RobotTarget) -> None: ...
+
+    def move(self, target: RobotTarget, *, timeout_s: float) -> None:
+        self.laboratory.call("move")
+        self.laboratory.rail_m = target.rail_m
+
+    def read(self) -> RobotReading:
+        self.laboratory.call("read_robot")
+        return RobotReading(self.laboratory.rail_m, RigidTransform.identity(), 0.0)
+
+    def stop(self) -> None:
+        self.laboratory.call("stop")
+
+
+class FakeTracker(Fake):
+    def identify_target(self) -> DeviceIdentity:
+        return DeviceIdentity(maker="Fake", model="tmac", serial="1", firmware="")
+
+    def measure_point(self, target: str, *, window_s: float) -> PointReading:
+        raise NotImplementedError
+
+    def measure_pose(self, *, window_s: float) -> PoseReading:
+        self.laboratory.call("look" if window_s < 1 else "measure")
+        shift_m = self.laboratory.shifts_m.pop(0) if self.laboratory.shifts_m else 0.0
+        position = [0.0, shift_m, self.laboratory.rail_m]
+        return PoseReading(RigidTransform.from_translation(position), 1e-12 * np.eye(6), 0.0)
+
+
+class FakeCamera(Fake):
+    def configure(self, *, exposure_s: float, gain_db: float, pixel_format: str) -> None: ...
+
+    def grab(self, *, timeout_s: float) -> Frame:
+        self.laboratory.call("grab")
+        grey = round(self.laboratory.rail_m)
+        image = np.full(CAMERA.shape, grey, np.uint8)
+        return Frame(image, "Mono8", 0.01, 0.0, self.laboratory.log.count("grab"), 0.0)
+
+
+class FakeRoom(Fake):
+    def read(self) -> RoomReading:
+        self.laboratory.call("read_room")
+        return RoomReading(293.0, 1e5, 0.4, True, True, 0.0)
+
+    def switch_lamp(self, *, on: bool) -> None: ...
+
+
+class FakeOperator(Fake):
+    def perform(self, task: str) -> None: ...
+
+
+class FlatGround:
+    """The plane Z = 0."""
+
+    def range_along_m(self, p_trs_m: FloatArray, direction_trs: FloatArray) -> float:
+        return float(p_trs_m[2])
+
+
+@pytest.fixture
+def laboratory() -> Laboratory:
+    return Laboratory()
+
+
+@pytest.fixture
+def devices(laboratory: Laboratory) -> Devices:
+    return Devices(
+        robot=FakeRobot(laboratory, "robot"),
+        tracker=FakeTracker(laboratory, "tracker"),
+        camera=FakeCamera(laboratory, "camera"),
+        room=FakeRoom(laboratory, "room"),
+        operator=FakeOperator(laboratory, "operator"),
+    )
+
+
+@pytest.fixture
+def config() -> CampaignConfig:
+    return CampaignConfig.model_validate(
+        {
+            "name": "fake",
+            "rig": Path(__file__),
+            "calibration": Path(__file__),
+            "trajectory": {
+                "kind": "straight_line",
+                "start_trs_m": (0, 0, 4),
+                "end_trs_m": (0, 0, 1),
+                "n_points": 4,
+            },
+            "camera": {"exposure_s": 0.01},
+            "settle": {"wait_s": 0.25, "timeout_s": 2.0},
+        }
+    )
+
+
+@pytest.fixture
+def calibration() -> CalibrationRecord:
+    return CalibrationRecord(
+        rig_name="fake",
+        created_utc="2026-01-01T00:00:00Z",
+        software={},
+        devices={},
+        camera=CAMERA,
+        camera_covariance=np.zeros((9, 9)),
+        trs_from_trk=RigidTransform.identity(),
+        trs_from_trk_covariance=np.zeros((6, 6)),
+        tmac_from_cam=RigidTransform.from_matrix(np.diag([1.0, -1.0, -1.0, 1.0])),
+        tmac_from_cam_covariance=np.zeros((6, 6)),
+        p_lamp_trs_m=np.array([0.0, 0.0, 5.0]),
+        p_lamp_trs_covariance_m2=np.zeros((3, 3)),
+        statistics={},
+        inputs={},
+    )
+
+
+@pytest.fixture
+def heightmap() -> HeightMap:
+    return HeightMap(np.zeros((5, 5), np.float32), 0.5, np.array([-1.0, -1.0, 0.0]))
+
+
+class FakeTime:
+    """Time that passes only by sleeping."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+
+    def sleep(self, duration_s: float) -> None:
+        self.now_s += duration_s
+
+    def monotonic_s(self) -> float:
+        return self.now_s
+
+
+@pytest.fixture
+def taker(
+    devices: Devices,
+    config: CampaignConfig,
+    calibration: CalibrationRecord,
+    heightmap: HeightMap,
+) -> ShotTaker:
+    clock = FakeTime()
+    return ShotTaker(
+        devices=devices,
+        config=config,
+        truth_source=TruthSource(calibration, heightmap, FlatGround()),
+        sleep=clock.sleep,
+        monotonic_s=clock.monotonic_s,
+    )
+
+
+@pytest.fixture
+def plan() -> Plan:
+    """Four shots; the rail stands at ten times the shot's id."""
+    return Plan(
+        tuple(
+            Shot(
+                shot_id=shot_id,
+                trs_from_cam_nominal=RigidTransform.from_translation([0, 0, 10.0 * shot_id]),
+                robot_target=RobotTarget(10.0 * shot_id, RigidTransform.identity()),
+            )
+            for shot_id in (1, 2, 3, 4)
+        )
+    )

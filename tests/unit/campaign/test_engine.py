@@ -1,0 +1,180 @@
+import threading
+from typing import Any
+
+import pytest
+
+from tronlab.campaign.engine import MAX_ATTEMPTS, RunListener, run_shots
+from tronlab.campaign.plan import Plan, Shot
+from tronlab.campaign.shot import ShotTaker
+from tronlab.campaign.stop import RunStoppedError, StopRequest
+from tronlab.dataset.records import ShotRecord
+from tronlab.errors import (
+    DatasetError,
+    DeviceFaultError,
+    LimitError,
+    NotSettledError,
+    TrackingLostError,
+)
+
+ONE_SHOT = ["move", "look", "look", "measure", "grab", "look", "read_robot", "read_room"]
+
+
+def lost() -> TrackingLostError:
+    return TrackingLostError("measure_pose: beam broken", device="tracker")
+
+
+def test_steps_run_in_order(taker: ShotTaker, plan: Plan, laboratory: Any) -> None:
+    records: list[ShotRecord] = []
+    run_shots(plan, taker, commit=records.append)
+    assert laboratory.log == ONE_SHOT * 4
+    assert [record.shot_id for record in records] == [1, 2, 3, 4]
+
+
+def test_every_image_belongs_to_its_shot_also_after_retries(
+    taker: ShotTaker, plan: Plan, laboratory: Any
+) -> None:
+    laboratory.failures = {("grab", 1): lost(), ("measure", 3): lost(), ("read_room", 3): lost()}
+    records: list[ShotRecord] = []
+    run_shots(plan, taker, commit=records.append)
+    assert [record.attempt for record in records] == [2, 2, 2, 1]
+    for record in records:
+        assert (record.frame.image == 10 * record.shot_id).all()
+        assert record.tracker.trk_from_tmac.translation[2] == 10.0 * record.shot_id
+        assert record.robot.rail_m == 10.0 * record.shot_id
+
+
+@pytest.mark.parametrize("error", [lost(), NotSettledError("still moves", device="tracker")])
+def test_retryable_errors_are_told_and_tried_again(
+    taker: ShotTaker, plan: Plan, laboratory: Any, error: Exception
+) -> None:
+    laboratory.failures = {("measure", 1): error, ("measure", 2): error}
+    records: list[ShotRecord] = []
+    told: list[tuple[int, int, Exception]] = []
+
+    def on_retry(shot: Shot, attempt: int, reason: Exception) -> None:
+        told.append((shot.shot_id, attempt, reason))
+
+    run_shots(plan, taker, commit=records.append, listener=RunListener(on_retry=on_retry))
+    assert told == [(1, 1, error), (1, 2, error)]
+    assert [record.attempt for record in records] == [3, 1, 1, 1]
+
+
+def test_gives_up_after_the_last_attempt(taker: ShotTaker, plan: Plan, laboratory: Any) -> None:
+    laboratory.failures = {("measure", i): lost() for i in range(2, 2 + MAX_ATTEMPTS)}
+    records: list[ShotRecord] = []
+    with pytest.raises(TrackingLostError, match="beam broken"):
+        run_shots(plan, taker, commit=records.append)
+    assert [record.shot_id for record in records] == [1]
+    assert laboratory.log.count("move") == 1 + MAX_ATTEMPTS
+
+
+@pytest.mark.parametrize("call", ["move", "look", "measure", "grab", "read_robot", "read_room"])
+@pytest.mark.parametrize(
+    "error",
+    [
+        DeviceFaultError("drive off", device="robot", code=7),
+        LimitError("too far", device="robot"),
+        ZeroDivisionError("a mistake of ours"),
+    ],
+    ids=["fault", "limit", "bug"],
+)
+def test_other_errors_end_the_run_as_they_are(
+    taker: ShotTaker,
+    plan: Plan,
+    laboratory: Any,
+    call: str,
+    error: Exception,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    n_of_shot_2 = {"look": 4}.get(call, 2)
+    laboratory.failures = {(call, n_of_shot_2): error}
+    records: list[ShotRecord] = []
+    with pytest.raises(type(error)) as caught:
+        run_shots(plan, taker, commit=records.append)
+    assert caught.value is error
+    assert [record.shot_id for record in records] == [1]
+    assert capfd.readouterr().err == ""
+
+
+def test_robot_is_stopped_only_if_its_move_failed(
+    taker: ShotTaker, plan: Plan, laboratory: Any
+) -> None:
+    laboratory.failures = {("grab", 2): lost(), ("move", 4): LimitError("no", device="robot")}
+    with pytest.raises(LimitError):
+        run_shots(plan, taker, commit=lambda record: None)
+    assert laboratory.log.count("stop") == 1
+    assert laboratory.log[-1] == "stop"
+
+
+def test_write_error_ends_the_run(taker: ShotTaker, plan: Plan, laboratory: Any) -> None:
+    def commit(record: ShotRecord) -> None:
+        if record.shot_id == 2:
+            raise DatasetError("disk full")
+
+    with pytest.raises(DatasetError, match="disk full"):
+        run_shots(plan, taker, commit=commit)
+    assert laboratory.log == ONE_SHOT * 2
+
+
+def test_listener_hears_of_a_shot_after_it_was_committed(taker: ShotTaker, plan: Plan) -> None:
+    events: list[tuple[str, int]] = []
+    run_shots(
+        plan,
+        taker,
+        commit=lambda record: events.append(("commit", record.shot_id)),
+        listener=RunListener(on_shot=lambda record: events.append(("told", record.shot_id))),
+    )
+    assert events[:4] == [("commit", 1), ("told", 1), ("commit", 2), ("told", 2)]
+
+
+def test_stop_finishes_the_shot_in_hand(taker: ShotTaker, plan: Plan, laboratory: Any) -> None:
+    stop = StopRequest()
+
+    def ask_once(call: str) -> None:
+        if call == "grab" and laboratory.log.count("grab") == 2:
+            stop.ask()
+
+    laboratory.on_call = ask_once
+    records: list[ShotRecord] = []
+    with pytest.raises(RunStoppedError):
+        run_shots(plan, taker, commit=records.append, stop=stop)
+    assert [record.shot_id for record in records] == [1, 2]
+    assert laboratory.log == ONE_SHOT * 2
+
+
+def test_stop_at_once_waits_for_nothing_and_stops_the_robot(
+    taker: ShotTaker, plan: Plan, laboratory: Any
+) -> None:
+    stop = StopRequest()
+    is_stopped = threading.Event()
+
+    def hang_in_second_move(call: str) -> None:
+        if call == "stop":
+            is_stopped.set()
+        if call == "move" and laboratory.log.count("move") == 2:
+            stop.ask()
+            stop.ask()
+            assert is_stopped.wait(timeout=10)  # a robot moves until it is told to stop
+
+    laboratory.on_call = hang_in_second_move
+    records: list[ShotRecord] = []
+    with pytest.raises(RunStoppedError):
+        run_shots(plan, taker, commit=records.append, stop=stop)
+    assert [record.shot_id for record in records] == [1]
+    assert is_stopped.is_set()
+
+
+def test_stop_asked_before_the_start_takes_nothing(
+    taker: ShotTaker, plan: Plan, laboratory: Any
+) -> None:
+    stop = StopRequest()
+    stop.ask()
+    with pytest.raises(RunStoppedError):
+        run_shots(plan, taker, commit=lambda record: None, stop=stop)
+    assert laboratory.log == []
+
+
+def test_runs_leave_no_thread_behind(taker: ShotTaker, plan: Plan) -> None:
+    before = set(threading.enumerate())
+    run_shots(plan, taker, commit=lambda record: None)
+    assert {t for t in set(threading.enumerate()) - before if t.is_alive()} == set()

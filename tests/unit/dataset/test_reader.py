@@ -1,0 +1,293 @@
+import fcntl
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from tronlab.dataset import schema
+from tronlab.dataset.reader import Dataset
+from tronlab.dataset.records import Provenance, ReferenceView, ShotRecord
+from tronlab.dataset.writer import DatasetWriter
+from tronlab.errors import DatasetError, IntegrityError, SchemaVersionError
+
+MakeShot = Callable[..., ShotRecord]
+MakeProvenance = Callable[..., Provenance]
+
+
+def assert_same(a: Any, b: Any, where: str = "") -> None:
+    """Compare records field by field: exactly, but poses to rounding."""
+    assert type(a) is type(b), where
+    if isinstance(a, RigidTransform):
+        np.testing.assert_allclose(a.as_matrix(), b.as_matrix(), rtol=0, atol=1e-14, err_msg=where)
+    elif is_dataclass(a):
+        for field in fields(a):
+            name = field.name
+            assert_same(getattr(a, name), getattr(b, name), f"{where}.{name}")
+    elif isinstance(a, np.ndarray):
+        assert a.dtype == b.dtype, where
+        np.testing.assert_array_equal(a, b, err_msg=where)
+    else:
+        assert a == b, where
+
+
+def write(path: Path, provenance: Provenance, shots: list[ShotRecord]) -> None:
+    with DatasetWriter(path, provenance) as writer:
+        for shot in shots:
+            writer.commit(shot)
+        writer.finish("complete")
+
+
+def set_attribute(path: Path, where: str, name: str, value: Any) -> None:
+    with h5py.File(path, "r+") as file:
+        file[where].attrs[name] = value
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
+def test_everything_of_a_shot_comes_back(
+    tmp_path: Path, make_shot: MakeShot, make_provenance: MakeProvenance, dtype: type
+) -> None:
+    shots = [make_shot(i, shot_id=10 - i, attempt=i + 1, dtype=dtype) for i in range(3)]
+    write(tmp_path / "a.h5", make_provenance(3), shots)
+    with Dataset(tmp_path / "a.h5") as dataset:
+        assert dataset.n_shots == 3
+        assert dataset.shot_ids.dtype == np.int64
+        assert dataset.image_dtype == dtype
+        for i, shot in enumerate(shots):
+            assert_same(dataset.shot(i), shot)
+            assert_same(dataset.truth(i), shot.truth)
+            assert_same(dataset.truths()[i], shot.truth)
+            assert_same(dataset.mask(i), shot.mask)
+
+
+def test_provenance_and_reference_views_come_back(
+    small_dataset: Path, make_provenance: MakeProvenance, make_view: Callable[[int], ReferenceView]
+) -> None:
+    with Dataset(small_dataset) as dataset:
+        assert dataset.provenance == make_provenance(5)
+        assert dataset.camera == make_provenance(5).camera
+        assert dataset.status == "complete"
+        assert dataset.reason == ""
+        assert dataset.start_time <= dataset.end_time
+        assert dataset.n_references == 2
+        for i, view in enumerate(dataset.references()):
+            assert_same(view, make_view(i))
+
+
+texts = st.text(st.characters(exclude_characters="\0", exclude_categories=["Cs"]), max_size=40)
+names = st.text(
+    st.characters(exclude_characters="\0", exclude_categories=["Cs"]), min_size=1, max_size=20
+)
+reusing_tmp_path = settings(
+    max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+
+
+@reusing_tmp_path
+@given(
+    campaign_name=texts,
+    campaign_yaml=texts,
+    calibration_json=texts,
+    seed=st.integers(-(2**63), 2**63 - 1),
+    software=st.dictionaries(names, texts, max_size=5),
+    devices=st.dictionaries(names, texts, max_size=5),
+)
+def test_any_provenance_comes_back(
+    tmp_path: Path, make_provenance: MakeProvenance, **changes: Any
+) -> None:
+    path = tmp_path / "a.h5"
+    path.unlink(missing_ok=True)
+    provenance = replace(make_provenance(1), **changes)
+    DatasetWriter(path, provenance).finish("failed")
+    with Dataset(path) as dataset:
+        assert dataset.provenance == provenance
+
+
+coordinates = st.floats(-1e4, 1e4)
+quaternions = st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: np.linalg.norm(q) > 1e-3)
+
+
+@reusing_tmp_path
+@given(xyz=st.tuples(coordinates, coordinates, coordinates), quat_xyzw=quaternions)
+def test_any_pose_comes_back(
+    tmp_path: Path,
+    make_shot: MakeShot,
+    make_provenance: MakeProvenance,
+    xyz: tuple[float, ...],
+    quat_xyzw: tuple[float, ...],
+) -> None:
+    path = tmp_path / "a.h5"
+    path.unlink(missing_ok=True)
+    pose = RigidTransform.from_components(xyz, Rotation.from_quat(quat_xyzw))
+    write(path, make_provenance(1), [make_shot(0, trs_from_cam=pose)])
+    with Dataset(path) as dataset:
+        back = dataset.truth(0).trs_from_cam
+        np.testing.assert_array_equal(back.translation, pose.translation)
+        assert (back.rotation.inv() * pose.rotation).magnitude() < 1e-15 * 10
+
+
+@pytest.mark.parametrize("i", [-1, 5, 1000])
+def test_an_index_out_of_range_is_refused(small_dataset: Path, i: int) -> None:
+    with Dataset(small_dataset) as dataset:
+        for read in (dataset.image, dataset.mask, dataset.truth, dataset.shot):
+            with pytest.raises(DatasetError, match=f"no shot with index {i}; allowed: 0 to 4"):
+                read(i)
+
+
+def test_a_dataset_without_shots_can_be_read(
+    tmp_path: Path, make_provenance: MakeProvenance
+) -> None:
+    DatasetWriter(tmp_path / "a.h5", make_provenance()).finish("aborted", "operator")
+    with Dataset(tmp_path / "a.h5") as dataset:
+        assert (dataset.n_shots, dataset.image_dtype, dataset.truths()) == (0, None, ())
+        assert dataset.references() == ()
+        with pytest.raises(DatasetError, match="none, it holds no shots"):
+            dataset.image(0)
+
+
+def test_rows_beyond_the_counter_do_not_exist(small_dataset: Path) -> None:
+    with h5py.File(small_dataset, "r+") as file:
+        file[schema.N_COMMITTED][()] = 3
+    with Dataset(small_dataset) as dataset:
+        assert dataset.shot_ids.tolist() == [0, 1, 2]
+        assert len(dataset.truths()) == 3
+        with pytest.raises(DatasetError, match="allowed: 0 to 2"):
+            dataset.image(3)
+
+
+def test_a_counter_beyond_the_rows_is_damage(small_dataset: Path) -> None:
+    with h5py.File(small_dataset, "r+") as file:
+        file[schema.N_COMMITTED][()] = 6
+    with pytest.raises(IntegrityError, match=r"6 shots are counted as committed.*room for 5"):
+        Dataset(small_dataset)
+
+
+def test_a_closed_dataset_says_so(small_dataset: Path) -> None:
+    dataset = Dataset(small_dataset)
+    dataset.close()
+    dataset.close()
+    with pytest.raises(DatasetError, match="is closed"):
+        dataset.image(0)
+
+
+def test_no_file(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match=r"a\.h5: no such file"):
+        Dataset(tmp_path / "a.h5")
+
+
+def test_a_directory(small_dataset: Path, tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match=r"is a directory.*did you mean .*dataset\.h5\?"):
+        Dataset(tmp_path)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(DatasetError, match=r"is a directory.*name the \.h5 file"):
+        Dataset(tmp_path / "empty")
+
+
+@pytest.mark.parametrize(
+    ("content", "kind", "message"),
+    [
+        (b"", IntegrityError, "is empty"),
+        (b"shot_id,x,y\n1,2,3\n" * 100, DatasetError, "is not an HDF5 file"),
+        (b"\x89HDF\r\n\x1a\n" + b"\xff" * 500, IntegrityError, "is damaged and cannot be opened"),
+    ],
+)
+def test_not_a_dataset(
+    tmp_path: Path, content: bytes, kind: type[DatasetError], message: str
+) -> None:
+    path = tmp_path / "a.h5"
+    path.write_bytes(content)
+    with pytest.raises(kind, match=message):
+        Dataset(path)
+
+
+def test_another_hdf5_file(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["x"] = 1
+    with pytest.raises(DatasetError, match="is an HDF5 file but not a tronlab dataset"):
+        Dataset(tmp_path / "a.h5")
+
+
+@pytest.mark.parametrize("part", [0.05, 0.5, 0.99])
+def test_a_truncated_file(small_dataset: Path, part: float) -> None:
+    content = small_dataset.read_bytes()
+    small_dataset.write_bytes(content[: int(part * len(content))])
+    with pytest.raises(IntegrityError, match=r"is truncated: it has \d+ bytes.*copy it again"):
+        Dataset(small_dataset)
+
+
+@pytest.mark.parametrize(
+    ("version", "advice"), [("2.0", "install a newer tronlab"), ("0.9", "use an older tronlab")]
+)
+def test_another_layout(small_dataset: Path, version: str, advice: str) -> None:
+    set_attribute(small_dataset, "/", schema.SCHEMA_ATTRIBUTE, version)
+    message = rf"written in dataset layout {version}; .* reads layout 1\.x; {advice}"
+    with pytest.raises(SchemaVersionError, match=message):
+        Dataset(small_dataset)
+
+
+def test_a_newer_minor_layout_is_read(small_dataset: Path) -> None:
+    set_attribute(small_dataset, "/", schema.SCHEMA_ATTRIBUTE, "1.99")
+    with Dataset(small_dataset) as dataset:
+        assert dataset.schema_version == "1.99"
+        assert dataset.n_shots == 5
+
+
+def test_a_layout_that_is_no_version(small_dataset: Path) -> None:
+    set_attribute(small_dataset, "/", schema.SCHEMA_ATTRIBUTE, "new")
+    with pytest.raises(IntegrityError, match=r"'new', expected major\.minor"):
+        Dataset(small_dataset)
+
+
+def test_a_file_being_written(
+    tmp_path: Path, make_provenance: MakeProvenance, make_shot: MakeShot
+) -> None:
+    path = tmp_path / "a.h5"
+    with DatasetWriter(path, make_provenance()) as writer:
+        writer.commit(make_shot(0))
+        with path.open("rb") as other, pytest.raises(BlockingIOError):
+            fcntl.flock(other, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    with path.open("rb") as other:
+        fcntl.flock(other, fcntl.LOCK_EX)
+        with pytest.raises(DatasetError, match="is being written by another process; try again"):
+            Dataset(path)
+    with Dataset(path) as dataset:
+        assert dataset.n_shots == 1
+
+
+@pytest.mark.parametrize(
+    "path", ["entry/recording/status", "entry/campaign/data", "entry/shots/shot_id"]
+)
+def test_a_missing_part_is_named(small_dataset: Path, path: str) -> None:
+    with h5py.File(small_dataset, "r+") as file:
+        del file[path]
+    with pytest.raises(IntegrityError, match=f"{path} is missing"), Dataset(small_dataset) as data:
+        assert data.status
+
+
+def test_an_image_whose_bytes_changed_is_not_handed_out(small_dataset: Path) -> None:
+    with h5py.File(small_dataset, "r+") as file:
+        file[schema.IMAGE][2, 10, 10] ^= 1
+        file[schema.MASK][3, 10, 10] ^= 1
+    with Dataset(small_dataset) as dataset:
+        with pytest.raises(IntegrityError, match="shot 2: image is damaged: its checksum"):
+            dataset.image(2)
+        with pytest.raises(IntegrityError, match="shot 3: mask is damaged"):
+            dataset.shot(3)
+        dataset.shot(4)
+
+
+def test_a_spoilt_quaternion_is_not_handed_out(small_dataset: Path) -> None:
+    with h5py.File(small_dataset, "r+") as file:
+        file["entry/truth/trs_from_cam"][1, 6] = 2.0
+    with Dataset(small_dataset) as dataset:
+        message = r"entry/truth/trs_from_cam\[1\]: pose: the quaternion's norm"
+        with pytest.raises(IntegrityError, match=message):
+            dataset.truth(1)
+        with pytest.raises(IntegrityError, match=message):
+            dataset.truths()

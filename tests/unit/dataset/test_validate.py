@@ -1,0 +1,175 @@
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from tronlab.dataset import schema
+from tronlab.dataset.records import Provenance, ReferenceView, ShotRecord
+from tronlab.dataset.validate import validate
+from tronlab.dataset.writer import DatasetWriter
+from tronlab.errors import DatasetError
+
+MakeShot = Callable[..., ShotRecord]
+MakeProvenance = Callable[..., Provenance]
+
+
+def spoilt(path: Path, where: str, index: Any, value: Any) -> list[str]:
+    with h5py.File(path, "r+") as file:
+        file[where][index] = value
+    return validate(path)
+
+
+def findings_of(
+    path: Path, provenance: Provenance, shots: list[ShotRecord], views: list[ReferenceView]
+) -> list[str]:
+    with DatasetWriter(path, provenance) as writer:
+        if views:
+            writer.add_references(views)
+        for shot in shots:
+            writer.commit(shot)
+        writer.finish("complete")
+    return validate(path)
+
+
+def test_a_good_dataset_is_valid(small_dataset: Path) -> None:
+    assert validate(small_dataset) == []
+
+
+def test_16_bit_is_valid(
+    tmp_path: Path, make_shot: MakeShot, make_provenance: MakeProvenance
+) -> None:
+    shots = [make_shot(i, dtype=np.uint16) for i in range(2)]
+    assert findings_of(tmp_path / "a.h5", make_provenance(2), shots, []) == []
+
+
+def test_what_cannot_be_opened_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="no such file"):
+        validate(tmp_path / "a.h5")
+
+
+def test_an_aborted_recording_is_told(
+    tmp_path: Path, make_shot: MakeShot, make_provenance: MakeProvenance
+) -> None:
+    with DatasetWriter(tmp_path / "a.h5", make_provenance(5)) as writer:
+        writer.commit(make_shot(0))
+        writer.finish("aborted", "operator")
+    assert validate(tmp_path / "a.h5") == [
+        "the recording ended with status aborted: operator",
+        "1 of 5 planned shots are there",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("where", "index", "value", "expected"),
+    [
+        (schema.SHOT_ID, 3, 1, "shot 1: is there 2 times"),
+        (
+            "entry/truth/trs_from_cam",
+            (2, 6),
+            3.0,
+            "shot 2: truth/trs_from_cam is no pose with a unit quaternion",
+        ),
+        (
+            "entry/instrument/tracker/trk_from_tmac",
+            (0, 0),
+            np.nan,
+            "shot 0: instrument/tracker/trk_from_tmac is no pose with a unit quaternion",
+        ),
+        (
+            "entry/truth/trs_from_cam_covariance",
+            (4, 0, 1),
+            1e-7,
+            "shot 4: truth/trs_from_cam_covariance is not a covariance"
+            " (symmetric, positive semidefinite)",
+        ),
+        (
+            "entry/truth/trs_from_cam_covariance",
+            (1, 5, 5),
+            -1e-12,
+            "shot 1: truth/trs_from_cam_covariance is not a covariance"
+            " (symmetric, positive semidefinite)",
+        ),
+        ("entry/truth/range_los_m", 1, np.inf, "shot 1: truth/range_los_m is not finite"),
+        (
+            "entry/instrument/robot/rail_m",
+            1,
+            9.0,
+            "shot 1: the checksum of its values does not match",
+        ),
+        (schema.IMAGE, (2, 0, 0), 7, "shot 2: image is damaged: its checksum does not match"),
+        (schema.MASK, (2, 0, 0), 1, "shot 2: mask is damaged: its checksum does not match"),
+        (
+            "entry/truth/usable_fraction",
+            0,
+            0.25,
+            "shot 0: usable fraction is 0.25, the mask's is 0.794271",
+        ),
+        ("entry/references/depth_m", (1, 5, 5), -1.0, "reference view 1: a depth is not positive"),
+        ("entry/references/depth_m", 0, np.nan, "reference view 0: no terrain is seen"),
+        ("entry/references/view_id", 0, 1, "reference views: an id is there twice"),
+        (schema.N_COMMITTED, (), 4, "4 of 5 planned shots are there"),
+        ("entry/recording/status", (), b"odd", "unknown status 'odd'"),
+    ],
+)
+def test_each_defect_is_found(
+    small_dataset: Path, where: str, index: Any, value: Any, expected: str
+) -> None:
+    findings = spoilt(small_dataset, where, index, value)
+    assert any(finding.startswith(expected) for finding in findings), findings
+
+
+def test_a_truth_that_does_not_follow_from_the_raw_reading_is_found(
+    tmp_path: Path, make_shot: MakeShot, make_provenance: MakeProvenance
+) -> None:
+    shot = make_shot(1)
+    moved = replace(shot.truth, trs_from_cam=make_shot(2).truth.trs_from_cam)
+    shots = [make_shot(0), replace(shot, truth=moved)]
+    findings = findings_of(tmp_path / "a.h5", make_provenance(2), shots, [])
+    assert len(findings) == 1
+    assert findings[0].startswith("shot 1: truth does not follow from the tracker's reading")
+    assert findings[0].endswith("mm apart")
+
+
+@pytest.mark.parametrize("calibration_json", ["", "not JSON", "[1]", '{"trs_from_trk": 1}'])
+def test_a_calibration_that_says_nothing_is_passed_over(
+    tmp_path: Path, make_shot: MakeShot, make_provenance: MakeProvenance, calibration_json: str
+) -> None:
+    provenance = replace(make_provenance(1), calibration_json=calibration_json)
+    assert findings_of(tmp_path / "a.h5", provenance, [make_shot(0)], []) == []
+
+
+@pytest.mark.parametrize(
+    ("value", "dtype", "expected"),
+    [
+        (0, np.uint8, "shot 0: the image is black"),
+        (255, np.uint8, "shot 0: the image is saturated"),
+        (4095, np.uint16, "shot 0: the image is saturated"),
+        (5000, np.uint16, "shot 0: a grey value is 5000, but Mono12 ends at 4095"),
+    ],
+)
+def test_an_image_that_shows_nothing_is_found(
+    tmp_path: Path,
+    make_shot: MakeShot,
+    make_provenance: MakeProvenance,
+    value: int,
+    dtype: type,
+    expected: str,
+) -> None:
+    shot = make_shot(0, dtype=dtype)
+    shot = replace(shot, frame=replace(shot.frame, image=np.full_like(shot.frame.image, value)))
+    assert expected in findings_of(tmp_path / "a.h5", make_provenance(1), [shot], [])
+
+
+def test_an_empty_mask_is_found(
+    tmp_path: Path, make_shot: MakeShot, make_provenance: MakeProvenance
+) -> None:
+    shot = make_shot(0)
+    shot = replace(
+        shot, mask=np.zeros_like(shot.mask), truth=replace(shot.truth, usable_fraction=0.0)
+    )
+    findings = findings_of(tmp_path / "a.h5", make_provenance(1), [shot], [])
+    assert findings == ["shot 0: the mask is empty"]

@@ -1,0 +1,265 @@
+import errno
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from tronlab.dataset.reader import Dataset
+from tronlab.dataset.records import Provenance, ReferenceView, ShotRecord
+from tronlab.dataset.validate import validate
+from tronlab.dataset.writer import DatasetWriter
+from tronlab.errors import DatasetError
+
+MakeShot = Callable[..., ShotRecord]
+MakeProvenance = Callable[..., Provenance]
+MakeView = Callable[[int], ReferenceView]
+
+
+@pytest.fixture
+def writer(tmp_path: Path, make_provenance: MakeProvenance) -> DatasetWriter:
+    return DatasetWriter(tmp_path / "new.h5", make_provenance(3))
+
+
+def committed_ids(path: Path) -> list[int]:
+    with Dataset(path) as dataset:
+        for i in range(dataset.n_shots):
+            dataset.shot(i)
+        return dataset.shot_ids.tolist()
+
+
+def test_an_existing_file_is_never_overwritten(
+    small_dataset: Path, make_provenance: MakeProvenance
+) -> None:
+    before = small_dataset.read_bytes()
+    with pytest.raises(DatasetError, match=r"exists already.*choose another --out"):
+        DatasetWriter(small_dataset, make_provenance())
+    assert small_dataset.read_bytes() == before
+
+
+def test_a_missing_directory_is_named(tmp_path: Path, make_provenance: MakeProvenance) -> None:
+    with pytest.raises(
+        DatasetError, match=r"nowhere/a\.h5: the directory .*nowhere does not exist"
+    ):
+        DatasetWriter(tmp_path / "nowhere" / "a.h5", make_provenance())
+
+
+def test_a_plan_without_shots_is_refused(tmp_path: Path, make_provenance: MakeProvenance) -> None:
+    with pytest.raises(DatasetError, match="0 shots planned"):
+        DatasetWriter(tmp_path / "a.h5", make_provenance(0))
+    assert not (tmp_path / "a.h5").exists()
+
+
+def test_a_seed_beyond_64_bit_is_refused(tmp_path: Path, make_provenance: MakeProvenance) -> None:
+    with pytest.raises(DatasetError, match="64-bit"):
+        DatasetWriter(tmp_path / "a.h5", replace(make_provenance(), seed=2**64))
+
+
+def test_a_text_hdf5_cannot_store_is_one_clear_error(
+    tmp_path: Path, make_provenance: MakeProvenance
+) -> None:
+    with pytest.raises(DatasetError, match="cannot be set up"):
+        DatasetWriter(tmp_path / "a.h5", replace(make_provenance(), rig_yaml="a\0b"))
+
+
+def test_shots_come_in_any_order_and_ids(writer: DatasetWriter, make_shot: MakeShot) -> None:
+    writer.commit(make_shot(0, shot_id=17, attempt=3))
+    writer.commit(make_shot(1, shot_id=4))
+    assert writer.n_committed == 2
+    writer.finish("aborted", "operator")
+    assert committed_ids(writer.path) == [17, 4]
+
+
+def test_nothing_is_written_after_finish(writer: DatasetWriter, make_shot: MakeShot) -> None:
+    writer.commit(make_shot(0))
+    writer.finish("aborted")
+    for act in (
+        lambda: writer.commit(make_shot(1)),
+        lambda: writer.finish("complete"),
+        lambda: writer.add_references([]),
+    ):
+        with pytest.raises(DatasetError, match="is finished"):
+            act()
+    assert committed_ids(writer.path) == [0]
+
+
+def test_an_unknown_status_is_refused(writer: DatasetWriter) -> None:
+    with pytest.raises(DatasetError, match="'done' is not one of complete, aborted, failed"):
+        writer.finish("done")  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda s: replace(s, shot_id=0), "shot 0 is already committed"),
+        (
+            lambda s: replace(s, frame=replace(s.frame, image=s.frame.image[:-1])),
+            r"image: shape is \(47, 64\), the camera's images have \(48, 64\)",
+        ),
+        (
+            lambda s: replace(s, frame=replace(s.frame, image=s.frame.image.astype(np.uint16))),
+            "image: type is uint16, expected uint8",
+        ),
+        (lambda s: replace(s, mask=s.mask[:, :-1]), r"mask: shape is \(48, 63\)"),
+        (lambda s: replace(s, mask=s.mask.astype(np.uint8)), "mask: type is uint8, expected bool"),
+        (
+            lambda s: replace(s, truth=replace(s.truth, range_los_m=float("nan"))),
+            "shot 1: truth/range_los_m: is not finite: nan",
+        ),
+        (
+            lambda s: replace(s, truth=replace(s.truth, covariance=np.full((6, 6), np.inf))),
+            "truth/trs_from_cam_covariance: is not finite",
+        ),
+        (
+            lambda s: replace(s, tracker=replace(s.tracker, covariance=np.eye(3))),
+            r"trk_from_tmac_covariance: shape is \(3, 3\), expected \(6, 6\)",
+        ),
+        (
+            lambda s: replace(s, frame=replace(s.frame, pixel_format="BayerRG12PackedTight")),
+            "pixel_format: .* is longer than 16 bytes",
+        ),
+        (
+            lambda s: replace(s, frame=replace(s.frame, frame_id=2**70)),
+            "camera/frame_id: 1180591620717411303424",
+        ),
+    ],
+)
+def test_a_shot_that_contradicts_the_dataset_is_refused_and_harms_nothing(
+    writer: DatasetWriter, make_shot: MakeShot, spoil: Callable[[ShotRecord], Any], message: str
+) -> None:
+    writer.commit(make_shot(0))
+    with pytest.raises(DatasetError, match=message):
+        writer.commit(spoil(make_shot(1)))
+    writer.commit(make_shot(2))
+    writer.finish("aborted")
+    assert committed_ids(writer.path) == [0, 2]
+
+
+def test_the_first_image_must_be_8_or_16_bit(writer: DatasetWriter, make_shot: MakeShot) -> None:
+    shot = make_shot(0)
+    image = shot.frame.image.astype(np.float32)
+    with pytest.raises(DatasetError, match="type is float32, expected uint8 or uint16"):
+        writer.commit(replace(shot, frame=replace(shot.frame, image=image)))  # pyright: ignore
+
+
+def test_more_shots_than_planned_are_refused(writer: DatasetWriter, make_shot: MakeShot) -> None:
+    for i in range(3):
+        writer.commit(make_shot(i))
+    with pytest.raises(DatasetError, match="shot 3 is one more than the 3 shots planned"):
+        writer.commit(make_shot(3))
+    writer.finish("complete")
+    assert validate(writer.path) == []
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda v: replace(v, image=v.image[1:]), "reference view 1: image: shape"),
+        (lambda v: replace(v, depth_m=v.depth_m.astype(float)), "depth_m: type is float64"),
+        (lambda v: replace(v, mask=v.mask.T), "mask: shape"),
+    ],
+)
+def test_a_reference_view_that_does_not_fit_is_refused(
+    writer: DatasetWriter,
+    make_view: MakeView,
+    spoil: Callable[[ReferenceView], Any],
+    message: str,
+) -> None:
+    with pytest.raises(DatasetError, match=message):
+        writer.add_references([make_view(0), spoil(make_view(1))])
+    writer.add_references([make_view(0)])
+
+
+def test_reference_views_are_stored_once(writer: DatasetWriter, make_view: MakeView) -> None:
+    with pytest.raises(DatasetError, match="no reference views were given"):
+        writer.add_references([])
+    writer.add_references([make_view(0)])
+    with pytest.raises(DatasetError, match="already stored"):
+        writer.add_references([make_view(1)])
+
+
+def test_an_exception_in_the_block_is_recorded_and_passed_on(
+    tmp_path: Path, make_provenance: MakeProvenance, make_shot: MakeShot
+) -> None:
+    def record() -> None:
+        with DatasetWriter(tmp_path / "a.h5", make_provenance()) as writer:
+            writer.commit(make_shot(0))
+            raise RuntimeError("beam broken")
+
+    with pytest.raises(RuntimeError, match="beam broken"):
+        record()
+    with Dataset(tmp_path / "a.h5") as dataset:
+        assert (dataset.status, dataset.reason) == ("failed", "RuntimeError: beam broken")
+        assert dataset.n_shots == 1
+
+
+def test_leaving_the_block_without_finish_leaves_it_running(
+    tmp_path: Path, make_provenance: MakeProvenance, make_shot: MakeShot
+) -> None:
+    with DatasetWriter(tmp_path / "a.h5", make_provenance()) as writer:
+        writer.commit(make_shot(0))
+    with Dataset(tmp_path / "a.h5") as dataset:
+        assert (dataset.status, dataset.end_time, dataset.n_shots) == ("running", "", 1)
+
+
+def test_an_aborted_recording_gives_its_room_back(
+    tmp_path: Path, make_provenance: MakeProvenance, make_shot: MakeShot
+) -> None:
+    path = tmp_path / "a.h5"
+    with DatasetWriter(path, make_provenance(500)) as writer:
+        writer.commit(make_shot(0))
+        size_running = path.stat().st_size
+        writer.finish("aborted", "operator")
+    assert size_running > 500 * 2 * 64 * 48
+    assert path.stat().st_size < 0.3 * size_running
+    assert committed_ids(path) == [0]
+    with h5py.File(path) as file:
+        assert file["entry/data/image"].shape == (1, 48, 64)
+
+
+def test_a_write_error_names_path_and_shot_and_spares_the_shots_before(
+    tmp_path: Path,
+    make_provenance: MakeProvenance,
+    make_shot: MakeShot,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    path = tmp_path / "a.h5"
+    with DatasetWriter(path, make_provenance()) as writer:
+        writer.commit(make_shot(0))
+        with monkeypatch.context() as patch:
+            patch.setattr(writer, "_write", _raise_no_space)
+            with pytest.raises(
+                DatasetError, match=r"a\.h5: shot 1 could not be written.*the 1 shots"
+            ):
+                writer.commit(make_shot(1))
+        writer.commit(make_shot(1))
+        writer.finish("aborted")
+    assert committed_ids(path) == [0, 1]
+
+
+def test_a_disk_too_small_for_the_plan_is_told_at_the_first_shot(
+    writer: DatasetWriter, make_shot: MakeShot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    usage = type("Usage", (), {"free": 1000})
+    monkeypatch.setattr("tronlab.dataset.writer.shutil.disk_usage", lambda _: usage)
+    with pytest.raises(DatasetError, match=r"shot 0 could not be written.*0 MB free; free some"):
+        writer.commit(make_shot(0))
+    writer.finish("failed", "disk full")
+    assert committed_ids(writer.path) == []
+
+
+def test_a_failing_reservation_leaves_a_readable_file(
+    writer: DatasetWriter, make_view: MakeView, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tronlab.dataset.writer.os.truncate", _raise_no_space)
+    with pytest.raises(DatasetError, match="reference views could not be written"):
+        writer.add_references([make_view(0)])
+    writer.finish("failed")
+    assert committed_ids(writer.path) == []
+
+
+def _raise_no_space(*_: object) -> None:
+    raise OSError(errno.ENOSPC, "No space left on device")

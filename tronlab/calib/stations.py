@@ -1,0 +1,55 @@
+"""Where the camera looks at the board from, so that everything to be solved for is determined."""
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from tronlab.devices.laboratory import BoardSpec, LaboratorySpec
+from tronlab.geometry.camera import CameraModel
+from tronlab.geometry.poses import FloatArray
+
+_FILLS = (0.8, 0.6, 0.45)
+"""Width of the board over width of the image: near and far views tell distance from focal length."""
+_AIMS = ((0, 0), (-1, -1), (1, 1), (1, -1), (-1, 1), (0, -1), (0, 1), (-1, 0), (1, 0))
+"""Where in the image the centre of the board comes to lie; corners reach the image's edge."""
+_OVERHANG = 0.05
+"""How far the board may reach beyond the image, so that its corners do lie at the edge."""
+_TILTS_DEG = ((25, 0), (0, 25), (-25, 0), (0, -25), (18, 18), (-18, 18), (18, -18), (-18, -18))
+_ROLLS_DEG = (0, 90, -45, 60, -90, 30, -60)
+"""Turns about the optical axis; with the tilts they determine all of the hand-eye transform."""
+
+
+def plan_stations(laboratory: LaboratorySpec) -> tuple[RigidTransform, ...]:
+    """Give nominal poses ``trs_from_cam`` from which the board is seen.
+
+    Distances follow from the size of the board and the field of view. Aims, tilts and rolls run
+    through cycles of different length, so that they come in many combinations.
+    """
+    board, camera = laboratory.board, laboratory.camera.nominal_model
+    trs_from_board = board.trs_from_board.pose
+    n = len(_FILLS) * len(_AIMS)
+    return tuple(trs_from_board * _board_from_cam(board, camera, i) for i in range(n))
+
+
+def _board_from_cam(board: BoardSpec, camera: CameraModel, i: int) -> RigidTransform:
+    fill = _FILLS[i // len(_AIMS)]
+    aim = np.array(_AIMS[i % len(_AIMS)], dtype=np.float64) * (1.0 + _OVERHANG - fill)
+    tilt = Rotation.from_euler("xy", _TILTS_DEG[i % len(_TILTS_DEG)], degrees=True)
+    roll = Rotation.from_euler("z", _ROLLS_DEG[i % len(_ROLLS_DEG)], degrees=True)
+    width_m = board.columns * board.square_m
+    distance_m = width_m * camera.fx_px / (fill * camera.width_px)
+    half_size = np.array([camera.width_px, camera.height_px]) / 2
+    ray = np.append(aim * half_size / [camera.fx_px, camera.fy_px], 1.0)
+    cam_from_looking = _turn_to(ray) * roll
+    centre = np.array([width_m / 2, board.rows * board.square_m / 2, 0.0])
+    rotation = tilt * cam_from_looking.inv()
+    return RigidTransform.from_components(centre - tilt.apply([0.0, 0.0, distance_m]), rotation)
+
+
+def _turn_to(ray: FloatArray) -> Rotation:
+    """Give the smallest rotation that turns the z-axis to a ray."""
+    direction = ray / np.linalg.norm(ray)
+    axis = np.cross([0.0, 0.0, 1.0], direction)
+    sine = float(np.linalg.norm(axis))
+    if sine < 1e-12:
+        return Rotation.identity()
+    return Rotation.from_rotvec(axis / sine * np.arctan2(sine, direction[2]))

@@ -1,0 +1,139 @@
+"""The campaign file: what shall be recorded, with which rig, and how it is scored."""
+
+from collections.abc import Set as AbstractSet
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from tronlab.render.renderer import Photometry, RaysPerPixel
+from tronlab.trajectory.config import TrajectoryConfig
+from tronlab.yaml_models import ExistingFile, Model, parse_model, read_text
+
+Seconds = Annotated[float, Field(gt=0, le=3600)]
+
+
+class DatabaseConfig(Model):
+    """The reference views that navigation cores build their database from."""
+
+    n_views: Annotated[int, Field(ge=1)] = 11
+    """Number of nominal poses to render, equally spaced in the trajectory, both ends included."""
+    rays_per_pixel: RaysPerPixel = 4
+    """Rays cast through a pixel: 1 is faster, 4 has smooth edges."""
+    photometry: Photometry = "lambert"
+    """How the surface is taken to reflect light."""
+
+
+class CameraConfig(Model):
+    """How images are taken."""
+
+    exposure_s: Annotated[float, Field(gt=0, le=60)]
+    """Exposure time."""
+    gain_db: Annotated[float, Field(ge=0, le=48)] = 0.0
+    """Analogue gain."""
+    pixel_format: Literal["Mono8", "Mono12"] = "Mono8"
+    """Grey values of 8 or 12 bit."""
+    timeout_s: Seconds = 10.0
+    """How long one image may take."""
+
+
+class SettleConfig(Model):
+    """When the camera counts as standing still, judged by the tracker."""
+
+    wait_s: Annotated[float, Field(ge=0, le=600)] = 0.5
+    """Wait after the robot stopped, and between two looks."""
+    window_s: Seconds = 0.1
+    """Averaging time of one look."""
+    max_shift_m: Annotated[float, Field(gt=0)] = 5e-4
+    """Two looks in a row must agree in position within this."""
+    max_turn_deg: Annotated[float, Field(gt=0)] = 0.1
+    """Two looks in a row must agree in rotation within this."""
+    timeout_s: Seconds = 30.0
+    """Give up after this; the shot is then tried again."""
+
+
+class TrackerConfig(Model):
+    """How the ground truth is measured."""
+
+    window_s: Seconds = 1.0
+    """Averaging time of the measurement that becomes the ground truth."""
+
+
+class RobotConfig(Model):
+    """How the robot is driven."""
+
+    timeout_s: Seconds = 300.0
+    """How long one move may take."""
+
+
+class ScoreConfig(Model):
+    """How the dataset is scored by ``tronlab demo``."""
+
+    cores: Annotated[tuple[str, ...], Field(min_length=1)] = (
+        "akaze",
+        "brisk",
+        "akaze-refined",
+        "brisk-refined",
+    )
+    """Navigation cores by name; ``tronlab score --core NAME`` says which there are."""
+
+
+class CampaignConfig(Model):
+    """A campaign file."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+    """Short name; results go to out/NAME unless told otherwise."""
+    title: str = ""
+    """One line for the report."""
+    rig: ExistingFile
+    """Rig file, relative to this file."""
+    calibration: ExistingFile
+    """Calibration record of that rig, relative to this file."""
+    seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
+    """Seed of every random number of the run: noise of simulated devices."""
+    trajectory: TrajectoryConfig
+    """Camera poses of the shots."""
+    database: DatabaseConfig = DatabaseConfig()
+    """Reference views for navigation cores."""
+    camera: CameraConfig
+    """How images are taken."""
+    settle: SettleConfig = SettleConfig()
+    """When the camera counts as standing still."""
+    tracker: TrackerConfig = TrackerConfig()
+    """How the ground truth is measured."""
+    robot: RobotConfig = RobotConfig()
+    """How the robot is driven."""
+    score: ScoreConfig = ScoreConfig()
+    """How the dataset is scored."""
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """A campaign file that was read."""
+
+    config: CampaignConfig
+    path: Path
+    text: str
+    """The file as it is written, for provenance."""
+
+    @property
+    def name(self) -> str:
+        """Get the name of the campaign."""
+        return self.config.name
+
+
+def load_campaign(path: Path, *, overridden: AbstractSet[str] = frozenset()) -> Campaign:
+    """Read a campaign file.
+
+    Args:
+        path: The YAML file.
+        overridden: Those of ``rig`` and ``calibration`` that the caller brings himself, so that
+            the files named here need not exist.
+
+    Raises:
+        ConfigError: It cannot be read, or says something that cannot be.
+    """
+    text = read_text(path)
+    config = parse_model(text, CampaignConfig, path=path, overridden=overridden)
+    return Campaign(config=config, path=path, text=text)

@@ -1,0 +1,137 @@
+"""The rig file: which laboratory, which terrain, which devices."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from tronlab.devices.laboratory import LaboratorySpec
+from tronlab.devices.protocols import Device
+from tronlab.devices.registry import KINDS, DeviceContext, Devices, make_device
+from tronlab.errors import ConfigError
+from tronlab.terrain.config import TerrainConfig
+from tronlab.terrain.heightmap import HeightMap
+from tronlab.twin.config import WorldConfig
+from tronlab.yaml_models import Model, join_errors, line_of, parse_model, read_text
+
+
+class DeviceConfig(Model):
+    """Which driver a device has, and the driver's own settings."""
+
+    driver: Annotated[str, Field(min_length=1)]
+    """Name of an installed driver: an entry point of the group ``tronlab.devices``."""
+    options: Annotated[dict[str, Any], Field(default_factory=dict)]
+    """Settings of this driver, such as addresses."""
+
+
+class DevicesConfig(Model):
+    """The devices of the rig."""
+
+    robot: DeviceConfig
+    tracker: DeviceConfig
+    camera: DeviceConfig
+    room: DeviceConfig
+    operator: DeviceConfig
+    """Who does what no device can do, such as placing the calibration board."""
+
+
+class RigConfig(Model):
+    """A rig file."""
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+    """Name of the rig; calibration records are made for one rig and name it."""
+    laboratory: LaboratorySpec
+    """The laboratory as designed."""
+    terrain: TerrainConfig
+    """The terrain model."""
+    devices: DevicesConfig
+    """The devices, and the drivers that talk to them."""
+    world: WorldConfig | None = None
+    """The simulated laboratory behind twin devices; a rig of hardware has none."""
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A rig file that was read."""
+
+    config: RigConfig
+    path: Path
+    text: str
+    """The file as it is written, for provenance."""
+
+    @property
+    def name(self) -> str:
+        """Get the name of the rig."""
+        return self.config.name
+
+    def load_heightmap(self, announce: Callable[[str], None] | None = None) -> HeightMap:
+        """Make or read the terrain model; ``announce`` is told of slow steps.
+
+        Raises:
+            TerrainError: Its file cannot be read or makes no sense.
+        """
+        from tronlab.terrain.load import load_terrain
+
+        return load_terrain(self.config.terrain, base_dir=self.path.parent, announce=announce)
+
+    def open_devices(
+        self, seed: int, *, load_heightmap: Callable[[], HeightMap] | None = None
+    ) -> Devices:
+        """Make the devices, not yet connected.
+
+        Args:
+            seed: Seed of the measurement noise of simulated devices.
+            load_heightmap: Where simulated devices get the terrain; by default ``load_heightmap``.
+
+        Raises:
+            ConfigError: A driver is unknown or refuses its options.
+        """
+        world = self._world(load_heightmap or self.load_heightmap)
+        shared: dict[str, object] = {}
+        devices: dict[str, Device] = {}
+        errors: list[ConfigError] = []
+        for kind in KINDS:
+            config: DeviceConfig = getattr(self.config.devices, kind)
+            context = DeviceContext(
+                name=kind, options=config.options, seed=seed, world=world, shared=shared
+            )
+            try:
+                devices[kind] = make_device(config.driver, kind, context)
+            except ConfigError as error:
+                errors.append(self._placed(error, kind))
+        if errors:
+            raise join_errors(errors)
+        return Devices(**devices)  # pyright: ignore[reportArgumentType]  # make_device checked them
+
+    def _world(self, load_heightmap: Callable[[], HeightMap]) -> object | None:
+        if self.config.world is None:
+            return None
+        from tronlab.twin.world import WorldSetup
+
+        return WorldSetup(
+            config=self.config.world,
+            laboratory=self.config.laboratory,
+            load_heightmap=load_heightmap,
+        )
+
+    def _placed(self, error: ConfigError, kind: str) -> ConfigError:
+        """Say where in the rig file a driver's complaint belongs."""
+        if error.path is not None:
+            return error
+        key = error.key or f"devices.{kind}"
+        message = str(error).removeprefix(f"{error.key}: ")
+        return ConfigError(
+            message, path=self.path, line=line_of(self.text, tuple(key.split("."))), key=key
+        )
+
+
+def load_rig(path: Path) -> Rig:
+    """Read a rig file.
+
+    Raises:
+        ConfigError: It cannot be read, or says something that cannot be.
+    """
+    text = read_text(path)
+    return Rig(config=parse_model(text, RigConfig, path=path), path=path, text=text)

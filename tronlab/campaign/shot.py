@@ -1,0 +1,188 @@
+"""One shot, step by step, with blocking devices; the engine decides when each step runs."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tronlab.calib.record import CalibrationRecord
+from tronlab.campaign.config import CampaignConfig, SettleConfig
+from tronlab.campaign.plan import Shot
+from tronlab.dataset.records import ShotRecord, Truth
+from tronlab.devices.readings import Frame, PoseReading, RobotReading, RoomReading
+from tronlab.devices.registry import Devices
+from tronlab.errors import DeviceError, NotSettledError
+from tronlab.geometry.poses import FloatArray, rotation_angle_rad
+from tronlab.render.mask import model_mask
+from tronlab.terrain.heightmap import HeightMap
+
+T = TypeVar("T")
+
+
+class RangeFinder(Protocol):
+    """Measures distances to the terrain; the heightfield renderer does."""
+
+    def range_along_m(self, p_trs_m: FloatArray, direction_trs: FloatArray) -> float:
+        """Give the distance to the terrain along a direction, metres; NaN if it is missed."""
+        ...
+
+
+@dataclass(frozen=True)
+class TruthSource:
+    """Derives what a shot should be judged by from the tracker's reading."""
+
+    calibration: CalibrationRecord
+    heightmap: HeightMap
+    range_finder: RangeFinder
+
+    def derive(self, reading: PoseReading) -> tuple[Truth, NDArray[np.bool_]]:
+        """Give ground truth and mask of a shot from its raw T-MAC reading."""
+        trs_from_cam, covariance = self.calibration.trs_from_cam(reading)
+        mask = model_mask(self.heightmap, self.calibration.camera, trs_from_cam)
+        boresight_trs = trs_from_cam.rotation.apply([0.0, 0.0, 1.0])
+        truth = Truth(
+            trs_from_cam=trs_from_cam,
+            covariance=covariance,
+            range_los_m=self.range_finder.range_along_m(trs_from_cam.translation, boresight_trs),
+            usable_fraction=float(mask.mean()),
+        )
+        return truth, mask
+
+
+@dataclass
+class _Readings:
+    """What has been read of the shot in hand."""
+
+    shot: Shot
+    attempt: int
+    tracker: PoseReading | None = None
+    frame: Frame | None = None
+    robot: RobotReading | None = None
+    room: RoomReading | None = None
+
+
+@dataclass
+class ShotTaker:
+    """Takes one shot at a time. Each step blocks, and gives small numbers for the live view."""
+
+    devices: Devices
+    config: CampaignConfig
+    truth_source: TruthSource
+    sleep: Callable[[float], None] = time.sleep
+    monotonic_s: Callable[[], float] = time.monotonic
+    _now: _Readings | None = field(default=None, init=False)
+
+    def begin(self, shot: Shot, attempt: int) -> None:
+        """Forget the last shot: nothing of it can be paired with this one."""
+        self._now = _Readings(shot=shot, attempt=attempt)
+
+    def move(self) -> None:
+        """Drive the robot to the target; it stands still when this returns."""
+        target = self._begun().shot.robot_target
+        self.devices.robot.move(target, timeout_s=self.config.robot.timeout_s)
+
+    def settle(self) -> dict[str, float]:
+        """Look at the T-MAC until two looks in a row agree.
+
+        Raises:
+            NotSettledError: They did not within ``settle.timeout_s``.
+        """
+        settle = self.config.settle
+        give_up_s = self.monotonic_s() + settle.timeout_s
+        last = self.devices.tracker.measure_pose(window_s=settle.window_s)
+        while True:
+            self.sleep(settle.wait_s)
+            look = self.devices.tracker.measure_pose(window_s=settle.window_s)
+            shift_m, turn_rad = _moved(last, look)
+            if _is_still(shift_m, turn_rad, settle):
+                return {"shift_m": shift_m, "turn_rad": turn_rad}
+            if self.monotonic_s() > give_up_s:
+                raise self._not_settled(shift_m, turn_rad, f"after {settle.timeout_s:g} s")
+            last = look
+
+    def measure(self) -> dict[str, float]:
+        """Measure the T-MAC: the raw reading the ground truth follows from."""
+        now = self._begun()
+        now.tracker = self.devices.tracker.measure_pose(window_s=self.config.tracker.window_s)
+        x_m, y_m, z_m = (float(v) for v in now.tracker.trk_from_tmac.translation)
+        return {"tmac_trk_x_m": x_m, "tmac_trk_y_m": y_m, "tmac_trk_z_m": z_m}
+
+    def grab(self) -> dict[str, float]:
+        """Take the image."""
+        now = self._begun()
+        now.frame = self.devices.camera.grab(timeout_s=self.config.camera.timeout_s)
+        expected = self.truth_source.calibration.camera.shape
+        if now.frame.image.shape != expected:
+            raise DeviceError(
+                f"delivered an image of shape {now.frame.image.shape}, calibrated is {expected}",
+                device=self.devices.camera.name,
+            )
+        return {"mean_grey": float(now.frame.image.mean())}
+
+    def confirm(self) -> dict[str, float]:
+        """Look once more: whatever moved during the exposure makes its truth worthless.
+
+        Raises:
+            NotSettledError: The T-MAC is no longer where it was measured before the exposure.
+        """
+        settle = self.config.settle
+        look = self.devices.tracker.measure_pose(window_s=settle.window_s)
+        shift_m, turn_rad = _moved(_taken(self._begun().tracker, "tracker"), look)
+        if not _is_still(shift_m, turn_rad, settle):
+            raise self._not_settled(shift_m, turn_rad, "during the exposure")
+        return {"exposure_shift_m": shift_m, "exposure_turn_rad": turn_rad}
+
+    def read(self) -> dict[str, float]:
+        """Read robot and room."""
+        now = self._begun()
+        now.robot = self.devices.robot.read()
+        now.room = self.devices.room.read()
+        return {"rail_m": now.robot.rail_m, "air_temperature_k": now.room.air_temperature_k}
+
+    def assemble(self) -> ShotRecord:
+        """Give the record of the shot: all of it read since ``begin``."""
+        now = self._begun()
+        tracker = _taken(now.tracker, "tracker")
+        truth, mask = self.truth_source.derive(tracker)
+        return ShotRecord(
+            shot_id=now.shot.shot_id,
+            attempt=now.attempt,
+            trs_from_cam_nominal=now.shot.trs_from_cam_nominal,
+            robot=_taken(now.robot, "robot"),
+            tracker=tracker,
+            room=_taken(now.room, "room"),
+            frame=_taken(now.frame, "frame"),
+            mask=mask,
+            truth=truth,
+        )
+
+    def _begun(self) -> _Readings:
+        return _taken(self._now, "shot")
+
+    def _not_settled(self, shift_m: float, turn_rad: float, when: str) -> NotSettledError:
+        settle = self.config.settle
+        return NotSettledError(
+            f"the T-MAC still moves {when}: {shift_m * 1e3:.3f} mm and {np.degrees(turn_rad):.4f}"
+            f" deg between two looks (settle allows {settle.max_shift_m * 1e3:g} mm and"
+            f" {settle.max_turn_deg:g} deg)",
+            device=self.devices.tracker.name,
+        )
+
+
+def _taken(value: T | None, what: str) -> T:
+    """Give what an earlier step must have left; steps out of order are a programming mistake."""
+    if value is None:
+        raise RuntimeError(f"no {what} yet: the steps of a shot run in the wrong order")
+    return value
+
+
+def _moved(a: PoseReading, b: PoseReading) -> tuple[float, float]:
+    shift_m = np.linalg.norm(b.trk_from_tmac.translation - a.trk_from_tmac.translation)
+    return float(shift_m), rotation_angle_rad(a.trk_from_tmac, b.trk_from_tmac)
+
+
+def _is_still(shift_m: float, turn_rad: float, settle: SettleConfig) -> bool:
+    return shift_m <= settle.max_shift_m and turn_rad <= np.radians(settle.max_turn_deg)

@@ -1,0 +1,112 @@
+"""``tronlab dataset``: what is in a recorded dataset, and whether it holds together."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from tronlab.dataset.reader import Dataset
+
+EXIT_FINDINGS = 1
+
+dataset = typer.Typer(no_args_is_help=True, help="Look into a recorded dataset, or check it.")
+
+_PathArgument = Annotated[
+    Path, typer.Argument(metavar="DATASET.h5", help="The recorded dataset.", show_default=False)
+]
+
+
+@dataset.command()
+def info(path: _PathArgument) -> None:
+    """Show what a dataset holds."""
+    import sys
+
+    from tronlab.dataset.reader import Dataset
+
+    with Dataset(path) as opened:
+        rows = _facts(opened)
+    if sys.stdout.isatty():
+        _print_table(rows)
+    else:
+        width = max(len(name) for name in rows)
+        for name, value in rows.items():
+            typer.echo(f"{name:<{width}}  {value}".rstrip())
+
+
+@dataset.command()
+def validate(path: _PathArgument) -> None:
+    """Check a dataset; exit code 1 if something is wrong with it."""
+    from tronlab.dataset.validate import validate as findings_of
+
+    findings = findings_of(path)
+    for finding in findings:
+        typer.echo(finding)
+    if findings:
+        raise typer.Exit(EXIT_FINDINGS)
+    typer.echo("valid")
+
+
+def _print_table(rows: dict[str, str]) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table.grid(padding=(0, 2))
+    for name, value in rows.items():
+        table.add_row(Text(name, style="bold"), Text(value))
+    Console().print(table)
+
+
+def _facts(opened: "Dataset") -> dict[str, str]:
+    provenance = opened.provenance
+    truths = opened.truths()
+    return {
+        "file": str(opened.path),
+        "size": f"{opened.path.stat().st_size / 1e6:.1f} MB",
+        "layout": opened.schema_version,
+        "campaign": provenance.campaign_name,
+        "rig": provenance.rig_name,
+        "seed": str(provenance.seed),
+        "status": f"{opened.status}: {opened.reason}" if opened.reason else opened.status,
+        "started": opened.start_time,
+        "duration": _duration(opened.start_time, opened.end_time),
+        "shots": f"{opened.n_shots} of {provenance.n_shots_planned} planned",
+        "reference views": str(opened.n_references),
+        "images": _images(opened),
+        "range to terrain": _span([t.range_los_m for t in truths], "m"),
+        "usable fraction": _span([t.usable_fraction for t in truths], ""),
+        "calibrated": _calibrated(provenance.calibration_json),
+        **{f"device {name}": text for name, text in sorted(provenance.devices.items())},
+        **{f"version {name}": text for name, text in sorted(provenance.software.items())},
+    }
+
+
+def _images(opened: "Dataset") -> str:
+    columns, rows = opened.camera.width_px, opened.camera.height_px
+    return f"{columns} x {rows}, {opened.image_dtype or 'none yet'}"
+
+
+def _span(values: list[float], unit: str) -> str:
+    return f"{min(values):.3f} to {max(values):.3f} {unit}".rstrip() if values else "-"
+
+
+def _duration(start: str, end: str) -> str:
+    from datetime import datetime
+
+    if not end:
+        return "-"
+    seconds = (datetime.fromisoformat(end) - datetime.fromisoformat(start)).total_seconds()
+    minutes, seconds = divmod(seconds, 60)
+    return f"{minutes:.0f} min {seconds:.1f} s" if minutes else f"{seconds:.1f} s"
+
+
+def _calibrated(calibration_json: str) -> str:
+    """Give when the calibration was made, as far as the record says."""
+    import json
+
+    try:
+        record = json.loads(calibration_json)
+    except json.JSONDecodeError:
+        return "-"
+    return str(record.get("created_utc", "-")) if isinstance(record, dict) else "-"

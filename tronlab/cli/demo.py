@@ -1,0 +1,99 @@
+"""The command ``tronlab demo``."""
+
+import json
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from tronlab.errors import ConfigError
+
+DEMO_CAMPAIGN = Path("campaigns/straight_line.yaml")
+DEFAULT_OUT = Path("out/demo")
+
+
+def demo(
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="Folder of the results; if in use, the next free.")
+    ] = DEFAULT_OUT,
+) -> None:
+    """Run, score and report campaigns/straight_line.yaml on the simulated laboratory."""
+    from tronlab.campaign.live import open_live
+    from tronlab.campaign.run import run_campaign
+
+    campaign = find_campaign()
+    out = free_folder(out, announce=lambda text: typer.echo(text, err=True))
+    try:
+        with open_live(sys.stderr) as live:
+            dataset = run_campaign(campaign, out_dir=out, live=live)
+        _score(campaign, dataset, out=out)
+        report = _report(out)
+    except KeyboardInterrupt as interrupt:
+        typer.echo(str(interrupt) or "interrupted", err=True)
+        raise typer.Exit(130) from None
+    typer.echo(summary_table(json.loads((out / "summary.json").read_text(encoding="utf-8"))))
+    typer.echo(f"\nreport: {report}")
+
+
+def find_campaign() -> Path:
+    """Find the demo campaign: in the working directory, else in the source checkout.
+
+    Raises:
+        ConfigError: It is in neither.
+    """
+    checkout = Path(__file__).resolve().parents[2]
+    for folder in (Path(), checkout):
+        if (folder / DEMO_CAMPAIGN).is_file():
+            return folder / DEMO_CAMPAIGN
+    raise ConfigError(
+        f"no such file, neither here ({Path.cwd()}) nor in {checkout}; run the demo from a source"
+        " checkout",
+        path=DEMO_CAMPAIGN,
+    )
+
+
+def free_folder(out: Path, *, announce: Callable[[str], None]) -> Path:
+    """Give ``out``, or the first of out-2, out-3, ... that is new or empty."""
+    folder, n = out, 1
+    while folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        n += 1
+        folder = out.with_name(f"{out.name}-{n}")
+    if folder != out:
+        announce(f"{out} is in use and stays as it is; this run goes to {folder}")
+    return folder
+
+
+def summary_table(summary: Mapping[str, Any]) -> str:
+    """Give the statistics of each core as text, beside what the paper claims."""
+    from tronlab.report.paper import DATASET_0
+
+    lines = [
+        "position error, % of line of sight     mean      max   solved",
+        *(_summary_row(core, statistics) for core, statistics in summary.items()),
+        f"{'the paper, AKAZE and BRISK':<34}"
+        f"{f'< {DATASET_0.mean_below_pct_los:g}':>9}{f'< {DATASET_0.max_below_pct_los:g}':>9}",
+    ]
+    return "\n".join(lines)
+
+
+def _summary_row(core: str, statistics: Mapping[str, Any]) -> str:
+    error = statistics["position_error_pct_los"]
+    mean, maximum = ("-" if error[key] is None else f"{error[key]:.3f}" for key in ("mean", "max"))
+    solved = f"{statistics['n_ok']}/{statistics['n_shots']}"
+    return f"{core:<34}{mean:>9}{maximum:>9}{solved:>9}"
+
+
+def _score(campaign: Path, dataset: Path, *, out: Path) -> None:
+    from tronlab.campaign.config import load_campaign
+    from tronlab.score.rescore import score_dataset
+
+    cores = load_campaign(campaign).config.score.cores
+    score_dataset(dataset, cores=cores, out_dir=out)
+
+
+def _report(out: Path) -> Path:
+    from tronlab.report.build import build_report
+
+    return build_report(out, announce=lambda text: typer.echo(text, err=True))

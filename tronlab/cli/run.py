@@ -1,0 +1,50 @@
+"""The command ``tronlab run``."""
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def run(
+    campaign: Annotated[Path, typer.Argument(metavar="CAMPAIGN.yaml", help="Campaign file.")],
+    rig: Annotated[
+        Path | None,
+        typer.Option(metavar="RIG.yaml", help="Rig file instead of the one the campaign names."),
+    ] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="RECORD.json",
+            help="Calibration record instead of the one the campaign names.",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="DIR", help="Folder of the dataset, new or empty.  [default: out/NAME]"
+        ),
+    ] = None,
+    seed: Annotated[
+        int | None, typer.Option(min=0, max=2**32 - 1, help="Seed instead of the campaign's.")
+    ] = None,
+) -> None:
+    """Run a campaign and record its dataset."""
+    from tronlab.campaign.live import open_live
+    from tronlab.campaign.run import run_campaign
+
+    try:
+        with open_live(sys.stderr) as live:
+            path = run_campaign(
+                campaign,
+                rig_path=rig,
+                calibration_path=calibration,
+                out_dir=out,
+                seed=seed,
+                live=live,
+            )
+    except KeyboardInterrupt as interrupt:
+        typer.echo(str(interrupt) or "interrupted: nothing was recorded", err=True)
+        raise typer.Exit(130) from None
+    typer.echo(path)

@@ -1,0 +1,99 @@
+"""What a shot, a reference view and a provenance must be like before they are written."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tronlab.dataset import schema
+from tronlab.dataset.records import Provenance, ReferenceView, ShotRecord
+from tronlab.errors import DatasetError
+
+Values: TypeAlias = dict[str, NDArray[Any]]
+
+_INT64 = np.iinfo(np.int64)
+
+
+def check_provenance(path: Path, provenance: Provenance) -> None:
+    """Check that a dataset can be set up from a provenance.
+
+    Raises:
+        DatasetError: No planned shots, a seed that does not fit 64 bit, or an unnamed device.
+    """
+    if provenance.n_shots_planned < 1:
+        raise DatasetError(f"{path}: {provenance.n_shots_planned} shots planned, at least 1 needed")
+    if not _INT64.min <= provenance.seed <= _INT64.max:
+        raise DatasetError(f"{path}: seed {provenance.seed} does not fit a 64-bit integer")
+
+
+def check_view(path: Path, provenance: Provenance, view: ReferenceView) -> None:
+    """Check that a reference view fits the camera.
+
+    Raises:
+        DatasetError: Image, depth or mask of another shape or type, or a pose that is not finite.
+    """
+    where = f"{path}: reference view {view.view_id}"
+    expected = {"image": (view.image, "uint8"), "depth_m": (view.depth_m, "float32")}
+    for name, (array, dtype) in {**expected, "mask": (view.mask, "bool")}.items():
+        _check_array(f"{where}: {name}", array, provenance.camera.shape, (dtype,))
+    if not np.isfinite(view.trs_from_cam.as_matrix()).all():
+        raise DatasetError(f"{where}: trs_from_cam is not finite")
+
+
+def check_images(
+    path: Path, provenance: Provenance, shot: ShotRecord, recorded_dtype: np.dtype[Any] | None
+) -> None:
+    """Check image and mask of a shot.
+
+    Args:
+        path: The dataset, for the message.
+        provenance: Names the camera.
+        shot: The shot.
+        recorded_dtype: Type of the images already committed; None for the first shot.
+
+    Raises:
+        DatasetError: Image or mask of another shape or type.
+    """
+    where = f"{path}: shot {shot.shot_id}"
+    types = ("uint8", "uint16") if recorded_dtype is None else (recorded_dtype.name,)
+    _check_array(f"{where}: image", shot.frame.image, provenance.camera.shape, types)
+    _check_array(f"{where}: mask", shot.mask, provenance.camera.shape, ("bool",))
+
+
+def values_of(path: Path, shot: ShotRecord) -> Values:
+    """Give everything of a shot besides image and mask, by the path of its column.
+
+    Raises:
+        DatasetError: A value is not finite, has another shape, or does not fit its type.
+    """
+    return dict(_values(path, shot))
+
+
+def _values(path: Path, shot: ShotRecord) -> Iterator[tuple[str, NDArray[Any]]]:
+    for column in schema.COLUMNS:
+        where = f"{path}: shot {shot.shot_id}: {column.path.removeprefix('entry/')}"
+        given = column.value_of(shot)
+        try:
+            value = np.asarray(given, dtype=column.dtype)
+        except (OverflowError, TypeError, ValueError) as error:
+            raise DatasetError(f"{where}: {given!r}: {error}") from error
+        if value.shape != column.shape:
+            raise DatasetError(f"{where}: shape is {value.shape}, expected {column.shape}")
+        if value.dtype.kind == "f" and not np.isfinite(value).all():
+            raise DatasetError(f"{where}: is not finite: {value.tolist()}")
+        if value.dtype.kind == "S" and value.item() != given:
+            raise DatasetError(
+                f"{where}: {given!r} is longer than {schema.PIXEL_FORMAT_BYTES} bytes"
+            )
+        yield column.path, value
+
+
+def _check_array(
+    where: str, array: NDArray[Any], shape: tuple[int, int], dtypes: tuple[str, ...]
+) -> None:
+    if array.shape != shape:
+        raise DatasetError(f"{where}: shape is {array.shape}, the camera's images have {shape}")
+    if array.dtype.name not in dtypes:
+        raise DatasetError(f"{where}: type is {array.dtype.name}, expected {' or '.join(dtypes)}")

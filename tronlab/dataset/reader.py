@@ -1,0 +1,304 @@
+"""Reading a dataset; whatever is wrong with the file becomes one clear error."""
+
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self, cast, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from tronlab.dataset import schema
+from tronlab.dataset.opening import open_dataset
+from tronlab.dataset.records import Provenance, ReferenceView, ShotRecord, Truth
+from tronlab.devices.readings import Frame, PoseReading, RobotReading, RoomReading
+from tronlab.errors import CalibrationError, DatasetError, FrameError, IntegrityError
+from tronlab.geometry.camera import CameraModel
+from tronlab.geometry.poses import pose_from_xyz_quat
+
+_TRUTH_COLUMNS = ("trs_from_cam", "trs_from_cam_covariance", "range_los_m", "usable_fraction")
+
+
+class Dataset:
+    """One recorded dataset. Only committed shots exist; images are read when asked for.
+
+    Every method may raise ``IntegrityError`` if what it reads is damaged.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Open the file.
+
+        Raises:
+            DatasetError: No such file, a directory, not HDF5, not a dataset, or being written.
+            SchemaVersionError: Written by a version with another layout.
+            IntegrityError: Truncated, or inconsistent.
+        """
+        self.path = path
+        self._file = open_dataset(path)
+        self._objects: dict[str, Any] = {}
+        try:
+            self._n_shots = self._counted()
+            self.shot_ids: NDArray[np.int64] = self.rows(schema.SHOT_ID).astype(np.int64)
+            self.provenance: Provenance = self._provenance()
+        except BaseException:
+            self._file.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file; may be called twice."""
+        self._file.close()
+
+    @property
+    def n_shots(self) -> int:
+        """Get the number of committed shots."""
+        return self._n_shots
+
+    @property
+    def camera(self) -> CameraModel:
+        """Get the calibrated intrinsics of the images."""
+        return self.provenance.camera
+
+    @property
+    def status(self) -> schema.Status:
+        """Get how the campaign ended; ``running`` if it never said."""
+        status = self._text("entry/recording/status")
+        if status not in get_args(schema.Status):
+            raise IntegrityError(f"{self.path}: unknown status '{status}'")
+        return cast(schema.Status, status)
+
+    @property
+    def reason(self) -> str:
+        """Get why the campaign ended so; empty if there was nothing to say."""
+        return self._text("entry/recording/reason")
+
+    @property
+    def schema_version(self) -> str:
+        """Get the version of the layout, ``major.minor``."""
+        return str(self._file.attrs[schema.SCHEMA_ATTRIBUTE])
+
+    @property
+    def start_time(self) -> str:
+        """Get when recording began, ISO 8601."""
+        return self._text("entry/start_time")
+
+    @property
+    def end_time(self) -> str:
+        """Get when the campaign ended, ISO 8601; empty if it never said."""
+        return self._text("entry/end_time")
+
+    @property
+    def image_dtype(self) -> np.dtype[Any] | None:
+        """Get the type of the images; None before the first shot."""
+        return self._object(schema.IMAGE).dtype if schema.IMAGE in self._file else None
+
+    @property
+    def n_references(self) -> int:
+        """Get the number of reference views."""
+        if schema.REFERENCES not in self._file:
+            return 0
+        return len(self._object(f"{schema.REFERENCES}/view_id"))
+
+    def image(self, i: int) -> NDArray[np.uint8] | NDArray[np.uint16]:
+        """Read the image of shot ``i``, shape (rows, columns), and verify its checksum."""
+        return self._stacked(schema.IMAGE, schema.IMAGE_CRC32, i)
+
+    def mask(self, i: int) -> NDArray[np.bool_]:
+        """Read the mask of shot ``i``, shape (rows, columns), and verify its checksum."""
+        return self._stacked(schema.MASK, schema.MASK_CRC32, i).astype(np.bool_)
+
+    def truth(self, i: int) -> Truth:
+        """Read the ground truth of shot ``i``."""
+        return self._truth(self._checked(i))
+
+    def truths(self) -> tuple[Truth, ...]:
+        """Read the ground truth of all shots."""
+        poses, covariances, ranges_m, fractions = (
+            self.rows(f"{schema.TRUTH}/{name}") for name in _TRUTH_COLUMNS
+        )
+        return tuple(
+            Truth(
+                trs_from_cam=self._as_pose(f"{schema.TRUTH}/trs_from_cam", i, poses[i]),
+                covariance=covariances[i],
+                range_los_m=float(ranges_m[i]),
+                usable_fraction=float(fractions[i]),
+            )
+            for i in range(self.n_shots)
+        )
+
+    def shot(self, i: int) -> ShotRecord:
+        """Read everything of shot ``i``."""
+        i = self._checked(i)
+        return ShotRecord(
+            shot_id=int(self.shot_ids[i]),
+            attempt=int(self._value("entry/shots/attempt", i)),
+            trs_from_cam_nominal=self._pose("entry/shots/trs_from_cam_nominal", i),
+            robot=RobotReading(
+                rail_m=float(self._value(f"{schema.ROBOT}/rail_m", i)),
+                base_from_flange=self._pose(f"{schema.ROBOT}/base_from_flange", i),
+                time_s=float(self._value(f"{schema.ROBOT}/time_s", i)),
+            ),
+            tracker=PoseReading(
+                trk_from_tmac=self._pose(f"{schema.TRACKER}/trk_from_tmac", i),
+                covariance=self._value(f"{schema.TRACKER}/trk_from_tmac_covariance", i),
+                time_s=float(self._value(f"{schema.TRACKER}/time_s", i)),
+            ),
+            room=self._room(i),
+            frame=self._frame(i),
+            mask=self.mask(i),
+            truth=self._truth(i),
+        )
+
+    def references(self) -> tuple[ReferenceView, ...]:
+        """Read the reference views; empty if there are none."""
+        if schema.REFERENCES not in self._file:
+            return ()
+        names = ("view_id", "trs_from_cam", "image", "depth_m", "mask")
+        columns = [self._read(f"{schema.REFERENCES}/{name}") for name in names]
+        return tuple(
+            ReferenceView(
+                view_id=int(view_id),
+                trs_from_cam=self._as_pose(f"{schema.REFERENCES}/trs_from_cam", row, xyz_quat),
+                image=image,
+                depth_m=depth_m,
+                mask=mask.astype(np.bool_),
+            )
+            for row, (view_id, xyz_quat, image, depth_m, mask) in enumerate(
+                zip(*columns, strict=True)
+            )
+        )
+
+    def rows(self, path: str) -> NDArray[Any]:
+        """Read one column (``tronlab.dataset.schema``) of all committed shots."""
+        return self._read(path, slice(0, self.n_shots))
+
+    def _room(self, i: int) -> RoomReading:
+        return RoomReading(
+            air_temperature_k=float(self._value(f"{schema.ROOM}/air_temperature_k", i)),
+            air_pressure_pa=float(self._value(f"{schema.ROOM}/air_pressure_pa", i)),
+            relative_humidity=float(self._value(f"{schema.ROOM}/relative_humidity", i)),
+            is_door_closed=bool(self._value(f"{schema.ROOM}/is_door_closed", i)),
+            is_lamp_on=bool(self._value(f"{schema.ROOM}/is_lamp_on", i)),
+            time_s=float(self._value(f"{schema.ROOM}/time_s", i)),
+        )
+
+    def _frame(self, i: int) -> Frame:
+        return Frame(
+            image=self.image(i),
+            pixel_format=bytes(self._value(f"{schema.CAMERA}/pixel_format", i)).decode(),
+            exposure_s=float(self._value(f"{schema.CAMERA}/exposure_s", i)),
+            gain_db=float(self._value(f"{schema.CAMERA}/gain_db", i)),
+            frame_id=int(self._value(f"{schema.CAMERA}/frame_id", i)),
+            time_s=float(self._value(f"{schema.CAMERA}/time_s", i)),
+        )
+
+    def _truth(self, i: int) -> Truth:
+        return Truth(
+            trs_from_cam=self._pose(f"{schema.TRUTH}/trs_from_cam", i),
+            covariance=self._value(f"{schema.TRUTH}/trs_from_cam_covariance", i),
+            range_los_m=float(self._value(f"{schema.TRUTH}/range_los_m", i)),
+            usable_fraction=float(self._value(f"{schema.TRUTH}/usable_fraction", i)),
+        )
+
+    def _provenance(self) -> Provenance:
+        return Provenance(
+            campaign_name=self._text("entry/title"),
+            campaign_yaml=self._text("entry/campaign/data"),
+            rig_name=self._text("entry/instrument/name"),
+            rig_yaml=self._text("entry/rig/data"),
+            calibration_json=self._text("entry/calibration/data"),
+            seed=int(self._read("entry/recording/seed")),
+            software=self._attributes("entry/software"),
+            devices=self._attributes("entry/devices"),
+            plan_sha256=self._text("entry/recording/plan_sha256"),
+            n_shots_planned=int(self._read("entry/recording/n_shots_planned")),
+            camera=self._camera_model(),
+        )
+
+    def _camera_model(self) -> CameraModel:
+        path = f"{schema.CAMERA}/model"
+        values = {
+            name: value.tolist() if isinstance(value, np.ndarray) else value.item()
+            for name, value in self._attributes(path).items()
+        }
+        try:
+            return CameraModel.from_dict(values)
+        except CalibrationError as error:
+            raise IntegrityError(f"{self.path}: {path}: {error}") from error
+
+    def _counted(self) -> int:
+        n = int(self._read(schema.N_COMMITTED))
+        n_rows = len(self._object(schema.SHOT_ID))
+        if not 0 <= n <= n_rows:
+            raise IntegrityError(
+                f"{self.path}: {n} shots are counted as committed, there is room for {n_rows}"
+            )
+        return n
+
+    def _checked(self, i: int) -> int:
+        if not 0 <= i < self.n_shots:
+            allowed = f"0 to {self.n_shots - 1}" if self.n_shots else "none, it holds no shots"
+            raise DatasetError(f"{self.path}: no shot with index {i}; allowed: {allowed}")
+        return i
+
+    def _stacked(self, path: str, crc_path: str, i: int) -> NDArray[Any]:
+        array = self._value(path, self._checked(i))
+        if schema.checksum([array]) != int(self._value(crc_path, i)):
+            raise IntegrityError(
+                f"{self.path}: shot {self.shot_ids[i]}: {path.rpartition('/')[2]} is damaged:"
+                " its checksum does not match; fetch the file again from its source"
+            )
+        return array
+
+    def _pose(self, path: str, i: int) -> RigidTransform:
+        return self._as_pose(path, i, self._value(path, i))
+
+    def _as_pose(self, path: str, i: int, xyz_quat: NDArray[Any]) -> RigidTransform:
+        try:
+            return pose_from_xyz_quat(xyz_quat)
+        except FrameError as error:
+            raise IntegrityError(f"{self.path}: {path}[{i}]: {error}") from error
+
+    def _value(self, path: str, i: int) -> Any:
+        """Read one row; the index must be checked."""
+        return self._read(path, i)
+
+    def _text(self, path: str) -> str:
+        value = self._read(path)
+        return value.decode() if isinstance(value, bytes) else str(value)
+
+    def _attributes(self, path: str) -> dict[str, Any]:
+        attributes = dict(self._object(path).attrs)
+        attributes.pop("NX_class", None)
+        return attributes
+
+    def _read(self, path: str, where: Any = ()) -> Any:
+        dataset = self._object(path)
+        try:
+            return dataset[where]
+        except (OSError, RuntimeError, ValueError, IndexError) as error:
+            raise IntegrityError(
+                f"{self.path}: {path} cannot be read, the file is damaged (HDF5: {error})"
+            ) from error
+
+    def _object(self, path: str) -> Any:
+        if not self._file:
+            raise DatasetError(f"{self.path}: is closed")
+        try:
+            if path not in self._objects:
+                self._objects[path] = self._file[path]
+            return self._objects[path]
+        except (KeyError, OSError, RuntimeError) as error:
+            raise IntegrityError(
+                f"{self.path}: {path} is missing or damaged (HDF5: {error})"
+            ) from error

@@ -1,0 +1,161 @@
+"""All cores in one plot: error against range, and the distribution of the error."""
+
+from collections.abc import Mapping
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, ScalarFormatter
+from numpy.typing import NDArray
+
+from tronlab.geometry.poses import FloatArray
+from tronlab.report.style import CoreStyle, new_figure, note, style_context
+
+N_RANGE_BINS = 10
+"""The median line has about one point for each of these parts of the range."""
+SMALLEST_ERROR_PCT_LOS = 1e-6
+"""Smaller errors, 10 nm at 1 m, are drawn here: a logarithmic axis has no place for zero."""
+ERROR_LABEL = "position error [% of LOS]"
+
+
+def error_against_range(scores: pd.DataFrame, styles: Mapping[str, CoreStyle]) -> Figure:
+    """Draw the position error of every shot against its range, with a median line a core.
+
+    Shots without a pose are marked along the lower border, at their range.
+    """
+    with style_context():
+        figure = new_figure(7.2, 4.2)
+        axes = figure.add_subplot()
+        for core, style in styles.items():
+            _draw_points(axes, scores[scores["core"] == core], core, style)
+        axes.set_xlabel("range along the line of sight [m]")
+        _finish(axes, is_empty=not _has_error(scores))
+        if _has_error(scores):
+            _log_axis(axes, "y")
+        axes.set_ylabel(ERROR_LABEL)
+    return figure
+
+
+def error_distribution(scores: pd.DataFrame, styles: Mapping[str, CoreStyle]) -> Figure:
+    """Draw, for each core, the share of all its shots whose position error is at most x.
+
+    A shot without a pose counts as a shot: the curve of a core that misses some ends below 100 %.
+    """
+    with style_context():
+        figure = new_figure(7.2, 4.0)
+        axes = figure.add_subplot()
+        for core, style in styles.items():
+            _draw_steps(axes, scores[scores["core"] == core], core, style)
+        axes.set_ylim(0.0, 104.0)
+        axes.set_ylabel("share of all shots [%]")
+        _finish(axes, is_empty=not _has_error(scores))
+        if _has_error(scores):
+            _log_axis(axes, "x")
+        axes.set_xlabel(ERROR_LABEL)
+    return figure
+
+
+def range_medians(range_m: FloatArray, error: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Give the median error in equal parts of the range.
+
+    Args:
+        range_m: Ranges, shape (n,), metres.
+        error: Errors at those ranges, shape (n,).
+
+    Returns:
+        Mean range and median error of each part that holds a shot, nearest first.
+    """
+    if not range_m.size:
+        return np.empty(0), np.empty(0)
+    edges = MaxNLocator(nbins=N_RANGE_BINS).tick_values(range_m.min(), range_m.max())
+    parts = np.digitize(range_m, edges)
+    held = np.unique(parts)
+    return (
+        np.array([range_m[parts == part].mean() for part in held]),
+        np.array([np.median(error[parts == part]) for part in held]),
+    )
+
+
+def _draw_points(axes: Axes, rows: pd.DataFrame, core: str, style: CoreStyle) -> None:
+    range_m = rows["range_los_m"].to_numpy(dtype=np.float64)
+    error = _errors(rows)
+    has_error = _is_drawn(rows)
+    axes.plot(
+        range_m[has_error],
+        error[has_error],
+        style.marker,
+        color=style.colour,
+        markersize=3.5,
+        alpha=0.45,
+        markeredgewidth=0,
+    )
+    axes.plot(
+        *range_medians(range_m[has_error], error[has_error]),
+        "-",
+        color=style.colour,
+        marker=style.marker,
+        markersize=4.5,
+        linewidth=1.6,
+        label=_label(rows, core),
+    )
+    missed = range_m[(rows["status"] != "ok").to_numpy() & np.isfinite(range_m)]
+    axes.plot(
+        missed,
+        np.full(missed.shape, 0.02),
+        "x",
+        color=style.colour,
+        markersize=6,
+        transform=axes.get_xaxis_transform(),
+    )
+
+
+def _draw_steps(axes: Axes, rows: pd.DataFrame, core: str, style: CoreStyle) -> None:
+    error = np.sort(_errors(rows)[_is_drawn(rows)])
+    share = 100.0 * np.arange(1, error.size + 1) / max(len(rows), 1)
+    axes.step(
+        np.concatenate([error[:1], error]),
+        np.concatenate([np.zeros(error[:1].size), share]),
+        where="post",
+        color=style.colour,
+        linewidth=1.6,
+        label=_label(rows, core),
+    )
+
+
+def _label(rows: pd.DataFrame, core: str) -> str:
+    n_ok = int((rows["status"] == "ok").sum())
+    return core if n_ok == len(rows) else f"{core} ({len(rows) - n_ok} of {len(rows)} without pose)"
+
+
+def _errors(rows: pd.DataFrame) -> FloatArray:
+    error = rows["position_error_pct_los"].to_numpy(dtype=np.float64)
+    return np.maximum(error, SMALLEST_ERROR_PCT_LOS)
+
+
+def _is_drawn(rows: pd.DataFrame) -> NDArray[np.bool_]:
+    return (rows["status"] == "ok").to_numpy(dtype=np.bool_) & np.isfinite(_errors(rows))
+
+
+def _has_error(scores: pd.DataFrame) -> bool:
+    return bool(_is_drawn(scores).any())
+
+
+def _finish(axes: Axes, *, is_empty: bool) -> None:
+    axes.grid()
+    if is_empty:
+        note(axes, "no shot with a pose")
+    axes.legend(fontsize=8, loc="best")
+
+
+def _log_axis(axes: Axes, which: str) -> None:
+    axis = axes.yaxis if which == "y" else axes.xaxis
+    (axes.set_yscale if which == "y" else axes.set_xscale)("log")
+    low, high = axis.get_view_interval()
+    # Decades alone leave an axis of less than two decades with a single number on it.
+    subs = (1.0, 2.0, 5.0) if high / max(low, 1e-300) < 300 else (1.0,)
+    axis.set_major_locator(LogLocator(subs=subs))
+    formatter = ScalarFormatter()
+    formatter.set_scientific(False)
+    axis.set_major_formatter(formatter)
+    axis.set_minor_formatter(NullFormatter())

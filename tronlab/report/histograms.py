@@ -1,0 +1,120 @@
+"""Error histograms of one core, laid out as figures 8 and 9 of the paper."""
+
+from collections import Counter
+from typing import cast
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from tronlab.geometry.poses import FloatArray
+from tronlab.report.style import AXIS_COLOURS, NORM_COLOUR, new_figure, note, style_context
+
+N_BINS = 20
+"""About as many bins as a histogram gets; the edges are round numbers."""
+
+
+def error_histograms(scores: pd.DataFrame, core: str) -> Figure:
+    """Draw the error histograms of a core.
+
+    Top: norm of the position error, grey. Middle: position error along x, y, z of trs. Bottom: angle
+    between the true and the estimated camera axis x, y, z. Position errors are percent of the
+    line-of-sight range; the three panels of a row share their bins.
+
+    Args:
+        scores: Rows of ``scores.csv``, one a shot and core.
+        core: Which core to draw.
+    """
+    rows = scores[scores["core"] == core]
+    solved = rows[rows["status"] == "ok"]
+    with style_context():
+        figure = new_figure(7.2, 6.6)
+        figure.suptitle(f"{core}: {pose_count_text(rows)}", fontsize=10)
+        grid = figure.add_gridspec(3, 3)
+        norm = figure.add_subplot(grid[0, :])
+        _draw_row([norm], [_values(solved["position_error_pct_los"])], [NORM_COLOUR])
+        norm.set_xlabel("norm of position error [% of LOS]")
+        middle = [figure.add_subplot(grid[1, i]) for i in range(3)]
+        position = [position_error_pct_los(solved, axis) for axis in "xyz"]
+        _draw_row(middle, position, list(AXIS_COLOURS.values()), is_signed=True)
+        bottom = [figure.add_subplot(grid[2, i]) for i in range(3)]
+        angle = [_values(solved[f"axis_error_{axis}_deg"]) for axis in "xyz"]
+        _draw_row(bottom, angle, list(AXIS_COLOURS.values()))
+        for axis, above, below in zip("xyz", middle, bottom, strict=True):
+            above.set_xlabel(f"position error along ${axis}_{{TRS}}$ [% of LOS]")
+            below.set_xlabel(f"angle error of camera axis ${axis}$ [deg]")
+        for panel in (norm, middle[0], bottom[0]):
+            panel.set_ylabel("shots")
+    return figure
+
+
+def position_error_pct_los(scores: pd.DataFrame, axis: str) -> FloatArray:
+    """Give the position error along one axis of trs, percent of the range, finite values only."""
+    return _values(100.0 * scores[f"error_trs_{axis}_m"] / scores["range_los_m"])
+
+
+def pose_count_text(rows: pd.DataFrame) -> str:
+    """Say how many shots of one core have a pose, and why the others have none."""
+    n_ok = int((rows["status"] == "ok").sum())
+    text = f"{n_ok} of {len(rows)} shots with a pose"
+    missing = Counter(str(status) for status in rows["status"] if status != "ok")
+    if missing:
+        reasons = ", ".join(f"{n} {status}" for status, n in sorted(missing.items()))
+        text += f"; without: {reasons}"
+    return text
+
+
+def bin_edges(values: FloatArray, *, is_signed: bool = False) -> FloatArray:
+    """Give round bin edges that hold all values.
+
+    Args:
+        values: Finite values, shape (n,).
+        is_signed: Whether the values scatter about zero; otherwise the bins begin at zero.
+    """
+    low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 0.0)
+    if is_signed:
+        low, high = min(low, 0.0), max(high, 0.0)
+    else:
+        low = 0.0
+    if high <= low:
+        high = low + 1.0
+    locator = MaxNLocator(nbins=N_BINS, steps=[1, 2, 2.5, 5, 10])
+    edges = np.asarray(locator.tick_values(low, high), dtype=np.float64)
+    step = float(edges[1] - edges[0])
+    # A value on the last edge would share its bin with smaller ones; one more bin keeps it apart.
+    return np.append(edges, edges[-1] + step) if edges[-1] <= high else edges
+
+
+def _draw_row(
+    panels: list[Axes], values: list[FloatArray], colours: list[str], *, is_signed: bool = False
+) -> None:
+    edges = bin_edges(np.concatenate(values), is_signed=is_signed)
+    for panel, panel_values, colour in zip(panels, values, colours, strict=True):
+        _draw_histogram(panel, panel_values, edges, colour)
+    tallest = max(panel.get_ylim()[1] for panel in panels)
+    for panel in panels:
+        panel.set_ylim(0.0, tallest)
+
+
+def _draw_histogram(panel: Axes, values: FloatArray, edges: FloatArray, colour: str) -> None:
+    panel.set_xlim(edges[0], edges[-1])
+    panel.yaxis.set_major_locator(MaxNLocator(nbins=5, integer=True, min_n_ticks=2))
+    panel.grid(axis="y")
+    if not values.size:
+        note(panel, "no shot with a pose")
+        return
+    panel.hist(values, bins=cast("list[float]", edges.tolist()), color=colour, edgecolor="white",
+               linewidth=0.4)
+    mean, median = float(np.mean(values)), float(np.median(values))
+    panel.axvline(mean, color="black", linewidth=1.1, label=f"mean {mean:.3g}")
+    panel.axvline(median, color="black", linewidth=1.1, linestyle=":", label=f"median {median:.3g}")
+    panel.set_title(f"n = {values.size}", loc="left", color="#444444", fontsize=8)
+    panel.margins(y=0.25)
+    panel.legend(fontsize=7, loc="upper right", handlelength=1.4)
+
+
+def _values(column: "pd.Series[float]") -> FloatArray:
+    values = column.to_numpy(dtype=np.float64)
+    return values[np.isfinite(values)]

@@ -1,0 +1,84 @@
+"""The page: one HTML file that needs nothing beside itself."""
+
+import base64
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from tronlab.report.tables import Table
+
+_MEDIA_TYPES = {".png": "image/png", ".jpg": "image/jpeg"}
+
+
+@dataclass(frozen=True, slots=True)
+class PageFigure:
+    """A picture of the page."""
+
+    path: Path
+    """PNG or JPEG file; its bytes go into the page."""
+    alt: str
+    """What is seen, for those who cannot see it."""
+    anchor: str = ""
+    """Where links within the page lead."""
+    core: str = ""
+    """The core whose worst shot this is."""
+
+    @property
+    def data_uri(self) -> str:
+        """Get the file as a data URI."""
+        payload = base64.b64encode(self.path.read_bytes()).decode("ascii")
+        return f"data:{_MEDIA_TYPES[self.path.suffix]};base64,{payload}"
+
+
+@dataclass(frozen=True, slots=True)
+class CoreSection:
+    """What the page shows of one core."""
+
+    name: str
+    anchor: str
+    histograms: PageFigure
+    shots: Table | None
+    """None if there are too many for a page."""
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """Everything the page says."""
+
+    title: str
+    paper: Table
+    paper_source: str
+    statistics: Table
+    cores: Sequence[CoreSection]
+    curves: Sequence[PageFigure]
+    pictures: Sequence[PageFigure]
+    pictures_missing: str
+    """Why there are no pictures; empty if there are."""
+    worst_shots: Table
+    provenance: Sequence[tuple[str, str]]
+    documents: Mapping[str, str]
+    """Whole texts by name: campaign, rig and calibration."""
+
+    @property
+    def section_anchors(self) -> dict[str, str]:
+        """Get where each core's histograms are."""
+        return {core.name: core.anchor for core in self.cores}
+
+    @property
+    def worst_anchors(self) -> dict[str, str]:
+        """Get where the picture of each core's worst shot is."""
+        return {picture.core: picture.anchor for picture in self.pictures if picture.core}
+
+
+def render_page(page: Page) -> str:
+    """Write the page as HTML; every text is escaped."""
+    environment = Environment(
+        loader=PackageLoader("tronlab.report", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template("report.html.j2").render(page=page)

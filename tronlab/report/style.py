@@ -1,0 +1,112 @@
+"""The look all figures share: sizes, fonts, one colour a core, and how they are saved."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+NORM_COLOUR = "#7f7f7f"
+AXIS_COLOURS: Mapping[str, str] = MappingProxyType(
+    {"x": "#d62728", "y": "#2ca02c", "z": "#1f77b4"}
+)
+"""Red, green and blue for x, y and z, as in the paper; each panel names its axis as well."""
+
+_CORE_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
+"""Okabe and Ito, Color Universal Design (2008): told apart with any colour vision."""
+_CORE_MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
+_USUAL_CORES = ("akaze", "brisk", "akaze-refined", "brisk-refined")
+
+_RC: dict[str, Any] = {
+    "font.size": 9.0,
+    "axes.titlesize": 9.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.6,
+    "legend.frameon": False,
+    "savefig.facecolor": "white",
+    "pdf.fonttype": 42,
+    "svg.hashsalt": "tronlab",
+}
+PNG_DPI = 130
+
+
+@dataclass(frozen=True, slots=True)
+class CoreStyle:
+    """How one core looks in every plot, and how its files are called."""
+
+    colour: str
+    marker: str
+    slug: str
+    """The core's name made fit for a file name."""
+
+
+def core_styles(cores: Sequence[str]) -> dict[str, CoreStyle]:
+    """Give each core its style; the paper's cores look alike in every report."""
+    others = [core for core in cores if core not in _USUAL_CORES]
+    order = [*_USUAL_CORES, *others]
+    slugs = _unique_slugs(cores)
+    return {
+        core: CoreStyle(
+            colour=_CORE_COLOURS[order.index(core) % len(_CORE_COLOURS)],
+            marker=_CORE_MARKERS[order.index(core) % len(_CORE_MARKERS)],
+            slug=slugs[core],
+        )
+        for core in cores
+    }
+
+
+def _unique_slugs(cores: Sequence[str]) -> dict[str, str]:
+    slugs: dict[str, str] = {}
+    for core in cores:
+        slug = re.sub(r"[^A-Za-z0-9_-]+", "_", core) or "_"
+        while slug in slugs.values():
+            slug += "_"
+        slugs[core] = slug
+    return slugs
+
+
+def new_figure(width_in: float, height_in: float) -> Figure:
+    """Make an empty figure that no global state knows of."""
+    with mpl.rc_context(_RC):
+        figure = Figure(figsize=(width_in, height_in), layout="constrained")
+        FigureCanvasAgg(figure)
+    return figure
+
+
+def style_context() -> Any:  # noqa: ANN401
+    """Give the context in which axes are made and figures saved."""
+    return mpl.rc_context(_RC)
+
+
+def note(axes: Axes, text: str) -> None:
+    """Write into the middle of an empty panel why it is empty."""
+    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color="#666666")
+
+
+def save_chart(figure: Figure, folder: Path, stem: str) -> Path:
+    """Save a drawing as PNG for the page and as PDF for papers; give the PNG's path.
+
+    No dates go into the files: the same scores make the same bytes.
+    """
+    path = folder / f"{stem}.png"
+    with style_context():
+        figure.savefig(path, dpi=PNG_DPI, metadata={"Software": None})
+        figure.savefig(path.with_suffix(".pdf"), metadata={"CreationDate": None})
+    return path
+
+
+def save_picture(figure: Figure, folder: Path, stem: str) -> Path:
+    """Save a figure that shows photographs as JPEG, a tenth of the size of a PNG."""
+    path = folder / f"{stem}.jpg"
+    with style_context():
+        figure.savefig(path, dpi=PNG_DPI, pil_kwargs={"quality": 85, "optimize": True})
+    return path

@@ -1,0 +1,317 @@
+"""The report's tables, as values that CSV, LaTeX, HTML and the terminal are written from.
+
+A cell holds a number in the unit its column names; only the formatted forms round it.
+"""
+
+import csv
+import io
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+import pandas as pd
+
+from tronlab.geometry.poses import FloatArray
+from tronlab.report.paper import DATASET_0, PAPER_CORES
+
+Cell: TypeAlias = str | int | float
+MISSING = "–"
+N_WORST = 5
+"""Rows of the table of worst shots, a core."""
+
+_POSITION = "position_error_pct_los"
+_ROTATION = "rotation_error_deg"
+_STATISTICS = ("mean", "median", "rms", "p95", "max")
+_TIMES = ("time_detect_s", "time_match_s", "time_pose_s")
+_COUNTS = ("n_features", "n_matches", "n_inliers")
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column: its name in files, its heading for people, how its numbers are shown."""
+
+    name: str
+    """Name with unit suffix, as CSV has it."""
+    heading: str
+    form: str = ""
+    """Format specification; empty for text and counts."""
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A table of the report."""
+
+    name: str
+    """File name without ending."""
+    caption: str
+    columns: tuple[Column, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+
+    @property
+    def headings(self) -> tuple[str, ...]:
+        """Get the headings for people."""
+        return tuple(column.heading for column in self.columns)
+
+    @property
+    def formatted(self) -> tuple[tuple[str, ...], ...]:
+        """Get the cells as people read them."""
+        return tuple(
+            tuple(
+                _formatted(cell, column.form)
+                for cell, column in zip(row, self.columns, strict=True)
+            )
+            for row in self.rows
+        )
+
+    @property
+    def is_number(self) -> tuple[bool, ...]:
+        """Get, for each column, whether it holds numbers, which are aligned to the right."""
+        return tuple(
+            bool(self.rows) and all(not isinstance(row[i], str) for row in self.rows)
+            for i in range(len(self.columns))
+        )
+
+
+def statistics_table(scores: pd.DataFrame) -> Table:
+    """Give, for each core, the statistics of its errors, its counts and its times.
+
+    The statistics are over the shots with a pose; ``n_shots`` counts all.
+    """
+    columns = [Column("core", "core"), Column("n_shots", "shots"), Column("n_ok", "with pose")]
+    for name, heading in ((_POSITION, "position [% LOS]"), (_ROTATION, "rotation [deg]")):
+        columns += [Column(f"{name}_{s}", f"{heading} {s}", ".3g") for s in _STATISTICS]
+    columns += [Column(f"{name}_median", f"{name[2:]} median", ".0f") for name in _COUNTS]
+    columns += [Column(f"{name}_median", f"{name[5:-2]} [s] median", ".3g") for name in _TIMES]
+    rows = tuple(_statistics_row(core, rows) for core, rows in _by_core(scores))
+    return Table("statistics", "Errors of each navigation core", tuple(columns), rows)
+
+
+def summary_table(scores: pd.DataFrame) -> Table:
+    """Give the columns of the statistics a terminal has room for."""
+    statistics = statistics_table(scores)
+    kept = ["core", "n_shots", "n_ok"]
+    kept += [f"{_POSITION}_{s}" for s in ("mean", "median", "p95", "max")]
+    kept += [f"{_ROTATION}_{s}" for s in ("mean", "max")]
+    at = [[column.name for column in statistics.columns].index(name) for name in kept]
+    return Table(
+        "summary",
+        statistics.caption,
+        tuple(statistics.columns[i] for i in at),
+        tuple(tuple(row[i] for i in at) for row in statistics.rows),
+    )
+
+
+def paper_table(scores: pd.DataFrame) -> Table:
+    """Give our position errors beside what the paper states for the same estimator."""
+    columns = (
+        Column("core", "core"),
+        Column("n_shots", "shots"),
+        Column("n_ok", "with pose"),
+        Column("mean_pct_los", "mean [% LOS]", ".3g"),
+        Column("max_pct_los", "max [% LOS]", ".3g"),
+        Column("paper_detector", "paper: detector"),
+        Column("paper_mean", "paper: mean"),
+        Column("paper_max", "paper: max"),
+        Column("within", "within the paper's bounds"),
+    )
+    return Table(
+        "paper",
+        f"Position error beside the paper's ({DATASET_0.dataset}, {DATASET_0.n_shots} shots)",
+        columns,
+        tuple(_paper_row(core, rows) for core, rows in _by_core(scores)),
+    )
+
+
+def worst_shots_table(scores: pd.DataFrame) -> Table:
+    """Give the shots of each core without a pose and with the largest position errors, worst first.
+
+    At most ``N_WORST`` a core.
+    """
+    columns = (
+        Column("core", "core"),
+        Column("shot_id", "shot"),
+        Column("status", "status"),
+        Column("range_los_m", "range [m]", ".3f"),
+        Column(_POSITION, "position [% LOS]", ".3g"),
+        Column("position_error_mm", "position [mm]", ".3g"),
+        Column(_ROTATION, "rotation [deg]", ".3g"),
+        Column("n_matches", "matches"),
+        Column("n_inliers", "inliers"),
+    )
+    rows: list[tuple[Cell, ...]] = []
+    for _, of_core in _by_core(scores):
+        shown = worst_first(of_core).head(N_WORST)
+        shown = shown.assign(position_error_mm=1e3 * shown["position_error_m"])
+        rows += _rows(shown, columns)
+    return Table("worst_shots", "Worst shots of each core", columns, tuple(rows))
+
+
+def shots_table(scores: pd.DataFrame, core: str) -> Table:
+    """Give every shot of one core."""
+    columns = (
+        Column("shot_id", "shot"),
+        Column("status", "status"),
+        Column("range_los_m", "range [m]", ".3f"),
+        Column("usable_fraction", "usable", ".2f"),
+        Column(_POSITION, "position [% LOS]", ".3g"),
+        *(Column(f"error_trs_{a}_m", f"{a} trs [m]", ".2e") for a in "xyz"),
+        *(Column(f"axis_error_{a}_deg", f"axis {a} [deg]", ".3g") for a in "xyz"),
+        Column(_ROTATION, "rotation [deg]", ".3g"),
+        *(Column(name, name[2:]) for name in _COUNTS),
+        *(Column(name, f"{name[5:-2]} [s]", ".3g") for name in _TIMES),
+    )
+    rows = _rows(scores[scores["core"] == core], columns)
+    return Table("shots", f"Every shot of {core}", columns, tuple(rows))
+
+
+def worst_first(rows: pd.DataFrame) -> pd.DataFrame:
+    """Sort the shots of a core: those without a pose first, then the largest position error."""
+    is_solved = rows["status"] == "ok"
+    return (
+        rows.assign(_is_solved=is_solved)
+        .sort_values(
+            ["_is_solved", _POSITION, "shot_id"], ascending=[True, False, True], kind="stable"
+        )
+        .drop(columns="_is_solved")
+    )
+
+
+def cores_of(scores: pd.DataFrame) -> list[str]:
+    """Give the names of the cores in the order the scores have them."""
+    return [str(core) for core in pd.unique(scores["core"])]
+
+
+def to_csv(table: Table) -> str:
+    """Write a table with full precision; a missing number is an empty cell."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow([column.name for column in table.columns])
+    writer.writerows([["" if _is_missing(c) else c for c in row] for row in table.rows])
+    return out.getvalue()
+
+
+def to_latex(table: Table) -> str:
+    """Write a table for LaTeX's package booktabs."""
+    lines = [
+        r"\begin{tabular}{" + "".join("r" if number else "l" for number in table.is_number) + "}",
+        r"\toprule",
+        _latex_row(table.headings),
+        r"\midrule",
+        *(_latex_row(row) for row in table.formatted),
+        r"\bottomrule",
+        r"\end{tabular}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def to_text(table: Table) -> str:
+    """Write a table for the terminal, columns aligned, no trailing newline."""
+    cells = [table.headings, *table.formatted]
+    widths = [max(len(row[i]) for row in cells) for i in range(len(table.columns))]
+    lines = [
+        "  ".join(
+            cell.rjust(width) if number else cell.ljust(width)
+            for cell, width, number in zip(row, widths, table.is_number, strict=True)
+        ).rstrip()
+        for row in cells
+    ]
+    return "\n".join(lines)
+
+
+def escape_latex(text: str) -> str:
+    """Make any text safe for LaTeX's text mode."""
+    return "".join(_LATEX.get(character, character) for character in text)
+
+
+_LATEX = {
+    "\\": r"\textbackslash{}",
+    "{": r"\{",
+    "}": r"\}",
+    "$": r"\$",
+    "&": r"\&",
+    "#": r"\#",
+    "%": r"\%",
+    "_": r"\_",
+    "^": r"\textasciicircum{}",
+    "~": r"\textasciitilde{}",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+    "[": "{[}",  # a bare one at the start of a row would be an argument of the row before
+    MISSING: "--",
+}
+
+
+def _latex_row(cells: Sequence[str]) -> str:
+    return " & ".join(escape_latex(cell) for cell in cells) + r" \\"
+
+
+def _by_core(scores: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
+    return [(core, scores[scores["core"] == core]) for core in cores_of(scores)]
+
+
+def _statistics_row(core: str, rows: pd.DataFrame) -> tuple[Cell, ...]:
+    solved = rows[rows["status"] == "ok"]
+    row: list[Cell] = [core, len(rows), len(solved)]
+    for name in (_POSITION, _ROTATION):
+        row += _statistics(_finite(solved[name]))
+    # Features and times are of every shot: a shot that found no pose took its time as well.
+    return (*row, *(_median(_finite(rows[name])) for name in (*_COUNTS, *_TIMES)))
+
+
+def _statistics(values: FloatArray) -> list[float]:
+    """Give mean, median, rms, 95th percentile and maximum; NaN without values."""
+    if not values.size:
+        return [np.nan] * len(_STATISTICS)
+    return [
+        float(np.mean(values)),
+        float(np.median(values)),
+        float(np.sqrt(np.mean(values**2))),
+        float(np.percentile(values, 95)),
+        float(np.max(values)),
+    ]
+
+
+def _median(values: FloatArray) -> float:
+    return float(np.median(values)) if values.size else np.nan
+
+
+def _paper_row(core: str, rows: pd.DataFrame) -> tuple[Cell, ...]:
+    solved = rows[rows["status"] == "ok"]
+    mean, _, _, _, largest = _statistics(_finite(solved[_POSITION]))
+    is_within = (
+        len(solved) == len(rows)
+        and mean < DATASET_0.mean_below_pct_los
+        and largest < DATASET_0.max_below_pct_los
+    )
+    return (
+        core,
+        len(rows),
+        len(solved),
+        mean,
+        largest,
+        PAPER_CORES.get(core, MISSING),
+        f"< {DATASET_0.mean_below_pct_los:g} %" if core in PAPER_CORES else MISSING,
+        f"< {DATASET_0.max_below_pct_los:g} %" if core in PAPER_CORES else MISSING,
+        "yes" if is_within else "no",
+    )
+
+
+def _rows(frame: pd.DataFrame, columns: Sequence[Column]) -> list[tuple[Cell, ...]]:
+    lists = [frame[column.name].tolist() for column in columns]
+    return list(zip(*lists, strict=True))
+
+
+def _finite(column: "pd.Series[float]") -> FloatArray:
+    values = column.to_numpy(dtype=np.float64)
+    return values[np.isfinite(values)]
+
+
+def _formatted(cell: Cell, form: str) -> str:
+    if _is_missing(cell):
+        return MISSING
+    return cell if isinstance(cell, str) else format(cell, form)
+
+
+def _is_missing(cell: Cell) -> bool:
+    return isinstance(cell, float) and not np.isfinite(cell)

@@ -1,0 +1,108 @@
+"""What a rig file says about its terrain model."""
+
+from pathlib import Path
+from typing import Annotated, Literal, Self, TypeAlias
+
+from pydantic import Field, model_validator
+
+from tronlab.yaml_models import Model
+
+MAX_SAMPLES = 100_000_000
+"""Largest number of samples of a height map: 400 MB of heights."""
+
+LengthM: TypeAlias = Annotated[float, Field(ge=0.02, le=50.0)]
+CoordinateM: TypeAlias = Annotated[float, Field(ge=-100.0, le=100.0)]
+PixelIndex: TypeAlias = Annotated[int, Field(ge=0)]
+PixelCount: TypeAlias = Annotated[int, Field(ge=8)]
+
+
+class _Terrain(Model):
+    size_m: tuple[LengthM, LengthM] = (2.2, 4.2)
+    """Extent along X_TRS (down the model) and along Y_TRS (to the right), 0.02 to 50 m each."""
+    relief_m: float = Field(default=0.26, gt=0.0, le=10.0)
+    """Difference between the highest and the lowest point."""
+    origin_trs_m: tuple[CoordinateM, CoordinateM, CoordinateM] = (-0.02, -0.02, -0.13)
+    """Top left corner of the model at the height of its lowest point, in F_TRS."""
+    spacing_m: float = Field(default=0.001, ge=1e-4, le=0.01)
+    """Distance between two samples of the height map, 0.0001 to 0.01 m."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Get (rows, columns) of the height map."""
+        rows, columns = (round(length / self.spacing_m) + 1 for length in self.size_m)
+        return rows, columns
+
+    @model_validator(mode="after")
+    def _check_number_of_samples(self) -> Self:
+        rows, columns = self.shape
+        if rows * columns > MAX_SAMPLES:
+            raise ValueError(
+                f"{rows} x {columns} samples are too many (at most {MAX_SAMPLES}):"
+                " make spacing_m larger or size_m smaller"
+            )
+        if min(rows, columns) < 8:
+            raise ValueError(
+                f"{rows} x {columns} samples are too few (at least 8 x 8):"
+                " make spacing_m smaller or size_m larger"
+            )
+        return self
+
+
+class ProceduralTerrain(_Terrain):
+    """A cratered, rough terrain made from a seed."""
+
+    kind: Literal["procedural"] = "procedural"
+    seed: int = Field(default=1, ge=0)
+    """The same seed and settings give the same heights, bit for bit on one machine."""
+    spacing_m: float = Field(default=0.0005, ge=1e-4, le=0.01)
+    """Distance between two samples of the height map, 0.0001 to 0.01 m."""
+    crater_exponent: float = Field(default=2.0, ge=1.0, le=4.0)
+    """b of the size-frequency law N(> D) = a (D / 1 m)^-b per square metre."""
+    crater_density_per_m2: float = Field(default=0.15, ge=0.0, le=1.0)
+    """a of the size-frequency law: how many craters wider than 1 m a square metre would have."""
+    crater_smallest_m: float = Field(default=0.006, ge=0.001, le=10.0)
+    """Diameter of the smallest crater, rim to rim."""
+    crater_largest_m: float = Field(default=0.8, ge=0.001, le=20.0)
+    """Diameter of the largest crater, rim to rim."""
+    hurst_exponent: float = Field(default=0.8, gt=0.0, lt=1.0)
+    """How roughness grows with scale: heights differ by ~ distance^H in the root mean square."""
+    roughness_slope: float = Field(default=0.12, ge=0.0, le=1.0)
+    """Root mean square of the rise over a run of 10 mm, craters apart, before the scaling to
+    ``relief_m``."""
+
+    @model_validator(mode="after")
+    def _check_law(self) -> Self:
+        if self.crater_largest_m <= self.crater_smallest_m:
+            raise ValueError(
+                f"crater_largest_m is {self.crater_largest_m}, must be more than"
+                f" crater_smallest_m, {self.crater_smallest_m}"
+            )
+        if self.crater_density_per_m2 == 0.0 and self.roughness_slope == 0.0:
+            raise ValueError(
+                "crater_density_per_m2 and roughness_slope are both 0: the terrain would be flat"
+            )
+        return self
+
+
+class FileTerrain(_Terrain):
+    """A height map from a 16-bit PNG or a NumPy file.
+
+    Rows of the file run down the model, its lowest sample lies at height 0 and its highest at
+    ``relief_m``. What does not fit the shape of ``size_m`` is cut off on both sides.
+    """
+
+    kind: Literal["file"] = "file"
+    path: Path
+    """16-bit grey PNG, or .npy of float32, float64, int16 or uint16; relative to the rig file."""
+    crop_px: tuple[PixelIndex, PixelIndex, PixelCount, PixelCount] | None = None
+    """Part of the file to use: first row, first column, rows, columns; without it, all of it."""
+    roughness_slope: float = Field(default=0.0, ge=0.0, le=1.0)
+    """Roughness added below the file's own resolution, so that a map enlarged to a model is not
+    smooth close by: root mean square of the rise over a run of 10 mm. 0: the file as it is."""
+    hurst_exponent: float = Field(default=0.8, gt=0.0, lt=1.0)
+    """How the added roughness grows with scale."""
+    seed: int = Field(default=1, ge=0)
+    """Seed of the added roughness."""
+
+
+TerrainConfig = Annotated[ProceduralTerrain | FileTerrain, Field(discriminator="kind")]

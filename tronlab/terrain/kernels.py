@@ -1,0 +1,50 @@
+"""How compiled kernels are made and run.
+
+Kernels release the interpreter lock and are run by plain threads, each on every n-th part of the
+work. numba's own parallel loops would be as fast, but their thread pool is one for the whole
+process: it breaks after a fork and when two threads use it at once.
+"""
+
+import logging
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+from numba import njit
+
+logger = logging.getLogger(__name__)
+
+
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a function at its first call and keep the machine code on disk where possible.
+
+    The code is cached beside the source or, where that is read-only, in the user's cache folder.
+    Without a writable folder it is compiled anew in each process.
+    """
+    options = {"nogil": True, "error_model": "numpy"}
+    try:
+        return njit(cache=True, **options)(function)
+    except RuntimeError:
+        return njit(**options)(function)
+
+
+def n_cores() -> int:
+    """Give the number of processor cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def run_interleaved(kernel: Callable[..., Any], *arguments: Any, n_threads: int) -> None:
+    """Run ``kernel(*arguments, first, step)`` for first = 0 .. step - 1, in threads.
+
+    There are more parts than threads, so that a thread with easy parts takes over from others.
+    """
+    if not getattr(kernel, "signatures", True):
+        logger.info("preparing %s (its first use ever takes some seconds)", kernel.__name__)
+    n_parts = 8 * n_threads if n_threads > 1 else 1
+    with ThreadPoolExecutor(n_threads) as pool:
+        futures = [pool.submit(kernel, *arguments, part, n_parts) for part in range(n_parts)]
+        for future in futures:
+            future.result()

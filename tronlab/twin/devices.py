@@ -1,0 +1,370 @@
+"""The simulated laboratory's devices: each sees the one world through its Protocol, and no more."""
+
+import numpy as np
+from numpy.random import Generator
+
+from tronlab.devices.protocols import OperatorTask
+from tronlab.devices.readings import (
+    DeviceIdentity,
+    Frame,
+    PointReading,
+    PoseReading,
+    RobotReading,
+    RobotTarget,
+    RoomReading,
+)
+from tronlab.devices.registry import DeviceContext
+from tronlab.errors import ConfigError, DeviceTimeoutError, LimitError, NotConnectedError
+from tronlab.geometry.poses import FloatArray
+from tronlab.geometry.uncertainty import perturb
+from tronlab.twin.reach import check_reach
+from tronlab.twin.sensor import HIGHEST_CODE, blur, digitise, expose
+from tronlab.twin.truth import deviate, named_rng
+from tronlab.twin.world import World, WorldSetup
+
+WORLD_KEY = "tronlab.twin.world"
+"""Where the devices of a rig keep their common world in ``DeviceContext.shared``."""
+
+_FIRMWARE = "twin-1"
+
+
+class _View:
+    """What all simulated devices have in common."""
+
+    _kind: str
+
+    def __init__(self, context: DeviceContext) -> None:
+        self._name = context.name
+        self._world = _common_world(context)
+        self._rng: Generator = named_rng(context.seed, self._kind)
+        self._is_connected = False
+
+    @property
+    def name(self) -> str:
+        """Get the name errors and logs use."""
+        return self._name
+
+    def connect(self) -> None:
+        """Make the device ready."""
+        self._world.faults.count(self._kind, "connect", name=self._name)
+        self._is_connected = True
+
+    def close(self) -> None:
+        """Close the connection."""
+        self._is_connected = False
+
+    def identify(self) -> DeviceIdentity:
+        """Read maker, model, serial number and firmware."""
+        self._begin("identify")
+        maker, model = self._maker_and_model()
+        return self._identity(maker, model)
+
+    def _maker_and_model(self) -> tuple[str, str]:
+        raise NotImplementedError
+
+    def _identity(self, maker: str, model: str) -> DeviceIdentity:
+        return DeviceIdentity(
+            maker=maker, model=model, serial=self._world.serial, firmware=_FIRMWARE
+        )
+
+    def _begin(self, call: str) -> None:
+        """Start a call: fail if not connected, or if the script says so."""
+        if not self._is_connected:
+            raise NotConnectedError(
+                f"{call}: not connected; call connect() first", device=self.name
+            )
+        self._world.faults.count(self._kind, call, name=self._name)
+
+
+class TwinRobot(_View):
+    """Rail and arm. The encoders say what was commanded; the flange stands elsewhere by chance."""
+
+    _kind = "robot"
+
+    def __init__(self, context: DeviceContext) -> None:
+        super().__init__(context)
+        self._rail_error_m = 0.0
+
+    def check(self, target: RobotTarget) -> None:
+        """Return if the target can be reached."""
+        self._begin("check")
+        self._check(target, call="check")
+
+    def move(self, target: RobotTarget, *, timeout_s: float) -> None:
+        """Move there; a move that would take longer than allowed is not begun."""
+        self._begin("move")
+        self._check(target, call="move")
+        duration_s = self._duration_s(target)
+        if duration_s > timeout_s:
+            raise DeviceTimeoutError(
+                f"move: takes {duration_s:.1f} s, allowed {timeout_s:.1f} s", device=self.name
+            )
+        self._world.stand_robot(target, actual=self._actual(target))
+        self._world.clock.advance(duration_s)
+
+    def read(self) -> RobotReading:
+        """Read the encoders."""
+        self._begin("read")
+        at = self._world.robot_at
+        return RobotReading(
+            rail_m=at.rail_m,
+            base_from_flange=at.base_from_flange,
+            time_s=self._world.clock.now_s,
+        )
+
+    def stop(self) -> None:
+        """Stop; moves take no real time here, so there is none to stop."""
+        self._begin("stop")
+
+    def _maker_and_model(self) -> tuple[str, str]:
+        return "KUKA", "KR 16"
+
+    def _check(self, target: RobotTarget, *, call: str) -> None:
+        rail_range_m = self._world.spec.mounting.rail_range_m
+        check_reach(target, rail_range_m=rail_range_m, device=self.name, call=call)
+
+    def _duration_s(self, target: RobotTarget) -> float:
+        config, at = self._world.config.robot, self._world.robot_at
+        arm_m = np.linalg.norm(
+            target.base_from_flange.translation - at.base_from_flange.translation
+        )
+        return max(
+            abs(target.rail_m - at.rail_m) / config.rail_speed_m_per_s,
+            float(arm_m) / config.arm_speed_m_per_s,
+        )
+
+    def _actual(self, target: RobotTarget) -> RobotTarget:
+        """Give where the robot really comes to stand."""
+        config = self._world.config.robot
+        rail, *arm = self._rng.standard_normal(7)
+        step_m = target.rail_m - self._world.robot_at.rail_m
+        if step_m != 0.0:  # a rail that does not move keeps its error
+            backlash_m = config.rail_backlash_m if step_m < 0.0 else 0.0
+            self._rail_error_m = config.rail_repeatability_sigma_m * rail + backlash_m
+        sigma = np.repeat([config.repeatability_sigma_rad, config.repeatability_sigma_m], 3)
+        return RobotTarget(
+            rail_m=target.rail_m + self._rail_error_m,
+            base_from_flange=perturb(target.base_from_flange, sigma * np.array(arm)),
+        )
+
+
+class TwinTracker(_View):
+    """The laser tracker; it sees everything from where it stands."""
+
+    _kind = "tracker"
+
+    def identify_target(self) -> DeviceIdentity:
+        """Read which T-MAC the tracker sees."""
+        self._begin("identify_target")
+        return self._identity("Leica", "T-MAC")
+
+    def measure_point(self, target: str, *, window_s: float) -> PointReading:
+        """Measure the named reflector."""
+        self._begin("measure_point")
+        targets = self._world.laboratory.p_targets_trs_m
+        if target not in targets:
+            raise LimitError(
+                f"measure_point: no reflector '{target}'; reflectors: {', '.join(targets)}",
+                device=self.name,
+            )
+        time_s = self._pass_window(window_s, call="measure_point")
+        p_trk = self._world.laboratory.trk_from_trs.apply(targets[target])
+        sigma_m = self._sigma_m(p_trk)
+        return PointReading(
+            target=target,
+            p_trk_m=p_trk + sigma_m * self._rng.standard_normal(3),
+            covariance_m2=sigma_m**2 * np.eye(3),
+            time_s=time_s,
+        )
+
+    def measure_pose(self, *, window_s: float) -> PoseReading:
+        """Measure the T-MAC."""
+        self._begin("measure_pose")
+        time_s = self._pass_window(window_s, call="measure_pose")
+        trk_from_tmac = self._world.laboratory.trk_from_trs * self._world.truth.trs_from_tmac
+        rotation_sigma = np.radians(self._world.config.tracker.rotation_sigma_deg) / np.sqrt(3.0)
+        sigma = np.repeat([rotation_sigma, self._sigma_m(trk_from_tmac.translation)], 3)
+        return PoseReading(
+            trk_from_tmac=perturb(trk_from_tmac, sigma * self._rng.standard_normal(6)),
+            covariance=np.diag(sigma**2),
+            time_s=time_s,
+        )
+
+    def _maker_and_model(self) -> tuple[str, str]:
+        return "Leica", "AT901-MR"
+
+    def _sigma_m(self, p_trk: FloatArray) -> float:
+        config = self._world.config.tracker
+        return config.coordinate_sigma_m + config.coordinate_sigma_m_per_m * float(
+            np.linalg.norm(p_trk)
+        )
+
+    def _pass_window(self, window_s: float, *, call: str) -> float:
+        """Let the window pass and give its middle."""
+        if not window_s > 0:
+            raise LimitError(
+                f"{call}: window is {window_s} s, must be more than 0", device=self.name
+            )
+        start_s = self._world.clock.now_s
+        self._world.clock.advance(window_s)
+        return start_s + window_s / 2
+
+
+class TwinCamera(_View):
+    """The camera, which sees the world through its lens."""
+
+    _kind = "camera"
+
+    def __init__(self, context: DeviceContext) -> None:
+        super().__init__(context)
+        self._exposure_s = 0.02
+        self._gain_db = 0.0
+        self._pixel_format = "Mono8"
+        self._n_frames = 0
+
+    def connect(self) -> None:
+        """Make the camera ready, and the terrain it will see."""
+        super().connect()
+        self._world.prepare_view()
+
+    def configure(self, *, exposure_s: float, gain_db: float, pixel_format: str) -> None:
+        """Set how frames are taken."""
+        self._begin("configure")
+        sensor = self._world.config.sensor
+        self._check_range("exposure", exposure_s, sensor.exposure_range_s, "s")
+        self._check_range("gain", gain_db, sensor.gain_range_db, "dB")
+        if pixel_format not in HIGHEST_CODE:
+            allowed = ", ".join(HIGHEST_CODE)
+            raise LimitError(
+                f"configure: pixel format is '{pixel_format}', allowed {allowed}", device=self.name
+            )
+        self._exposure_s, self._gain_db = exposure_s, gain_db
+        self._pixel_format = pixel_format
+
+    def grab(self, *, timeout_s: float) -> Frame:
+        """Take one frame."""
+        self._begin("grab")
+        sensor, clock = self._world.config.sensor, self._world.clock
+        duration_s = self._exposure_s + sensor.readout_s
+        if duration_s > timeout_s:
+            raise DeviceTimeoutError(
+                f"grab: exposure and read-out take {duration_s:.3f} s, allowed {timeout_s:.3f} s",
+                device=self.name,
+            )
+        seen = blur(self._world.radiance(), sigma_px=self._world.config.lens.psf_sigma_px)
+        electrons = expose(seen, sensor, exposure_s=self._exposure_s, rng=self._rng)
+        time_s = clock.now_s + self._exposure_s / 2
+        clock.advance(duration_s)
+        self._n_frames += 1
+        return Frame(
+            image=digitise(
+                electrons, sensor, gain_db=self._gain_db, pixel_format=self._pixel_format
+            ),
+            pixel_format=self._pixel_format,
+            exposure_s=self._exposure_s,
+            gain_db=self._gain_db,
+            frame_id=self._n_frames,
+            time_s=time_s,
+        )
+
+    def _maker_and_model(self) -> tuple[str, str]:
+        return "Allied Vision", self._world.spec.camera.model
+
+    def _check_range(
+        self, what: str, value: float, allowed: tuple[float, float], unit: str
+    ) -> None:
+        low, high = allowed
+        if not low <= value <= high:
+            raise LimitError(
+                f"configure: {what} is {value:g} {unit}, allowed {low:g} to {high:g} {unit}",
+                device=self.name,
+            )
+
+
+class TwinRoom(_View):
+    """Door, lamp and air."""
+
+    _kind = "room"
+
+    def read(self) -> RoomReading:
+        """Read the state of the room."""
+        self._begin("read")
+        room = self._world.config.room
+        return RoomReading(
+            air_temperature_k=room.air_temperature_k,
+            air_pressure_pa=room.air_pressure_pa,
+            relative_humidity=room.relative_humidity,
+            is_door_closed=room.is_door_closed,
+            is_lamp_on=self._world.is_lamp_on,
+            time_s=self._world.clock.now_s,
+        )
+
+    def switch_lamp(self, *, on: bool) -> None:
+        """Switch the lamp."""
+        self._begin("switch_lamp")
+        self._world.is_lamp_on = on
+
+    def _maker_and_model(self) -> tuple[str, str]:
+        return "tronlab", "room"
+
+
+class TwinOperator(_View):
+    """Someone who places the board where the rig file says, as well as one can by eye."""
+
+    _kind = "operator"
+
+    def perform(self, task: OperatorTask) -> None:
+        """Have the task done."""
+        self._begin("perform")
+        if task == "remove_board":
+            self._world.place_board(None)
+            return
+        nominal = self._world.spec.board.trs_from_board.pose
+        placement = self._world.config.board.placement
+        self._world.place_board(deviate(nominal, placement, self._rng))
+
+    def _maker_and_model(self) -> tuple[str, str]:
+        return "tronlab", "operator"
+
+
+def open_robot(context: DeviceContext) -> TwinRobot:
+    """Make the robot."""
+    return TwinRobot(context)
+
+
+def open_tracker(context: DeviceContext) -> TwinTracker:
+    """Make the tracker."""
+    return TwinTracker(context)
+
+
+def open_camera(context: DeviceContext) -> TwinCamera:
+    """Make the camera."""
+    return TwinCamera(context)
+
+
+def open_room(context: DeviceContext) -> TwinRoom:
+    """Make the room."""
+    return TwinRoom(context)
+
+
+def open_operator(context: DeviceContext) -> TwinOperator:
+    """Make the operator."""
+    return TwinOperator(context)
+
+
+def _common_world(context: DeviceContext) -> World:
+    """Give the world of this rig; its first device makes it.
+
+    Raises:
+        ConfigError: The rig file describes no world, or has options for a simulated device.
+    """
+    setup = context.world
+    if not isinstance(setup, WorldSetup):
+        raise ConfigError(f"simulated device '{context.name}' needs this section", key="world")
+    if context.options:
+        raise ConfigError(
+            f"a simulated device has no options, but got: {', '.join(sorted(context.options))};"
+            " how it behaves is set in section 'world'",
+            key=f"devices.{context.name}.options",
+        )
+    return context.share(WORLD_KEY, lambda: World(setup))

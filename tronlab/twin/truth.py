@@ -1,0 +1,164 @@
+"""The laboratory as built: drawn once from the world's seed, then fixed."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.random import Generator, SeedSequence
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from tronlab.devices.laboratory import CameraSpec, LaboratorySpec, ReflectorsSpec
+from tronlab.geometry.camera import CameraModel
+from tronlab.geometry.poses import FloatArray, unit
+from tronlab.geometry.uncertainty import perturb
+from tronlab.twin.config import Deviation, LensConfig, TrueLampConfig, WorldConfig
+
+LAMP_TARGET = "lamp"
+"""Name of the reflector on the lamp's housing."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrueLaboratory:
+    """What does not change while the laboratory is used."""
+
+    trk_from_trs: RigidTransform
+    trs_from_rail: RigidTransform
+    flange_from_cam: RigidTransform
+    flange_from_tmac: RigidTransform
+    camera: CameraModel
+    p_targets_trs_m: Mapping[str, FloatArray]
+    """Centre of every reflector by name, shape (3,), frame trs."""
+    p_light_trs_m: FloatArray
+    """Centre of the light, shape (3,)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """What is true of the world at one moment; for tests only."""
+
+    laboratory: TrueLaboratory
+    trs_from_flange: RigidTransform
+    trs_from_board: RigidTransform | None
+    """None while no board is placed."""
+    is_lamp_on: bool
+
+    @property
+    def trs_from_cam(self) -> RigidTransform:
+        """Get the camera's pose."""
+        return self.trs_from_flange * self.laboratory.flange_from_cam
+
+    @property
+    def trs_from_tmac(self) -> RigidTransform:
+        """Get the T-MAC's pose."""
+        return self.trs_from_flange * self.laboratory.flange_from_tmac
+
+
+def named_rng(seed: int, name: str) -> Generator:
+    """Give the random numbers of one purpose: independent of those of every other name."""
+    return np.random.default_rng(SeedSequence(seed, spawn_key=tuple(name.encode())))
+
+
+def deviate(pose: RigidTransform, deviation: Deviation, rng: Generator) -> RigidTransform:
+    """Move a pose by a random deviation in its parent frame."""
+    dw = np.radians(deviation.sigma_deg) * rng.standard_normal(3)
+    return perturb(pose, np.concatenate([dw, deviation.sigma_m * rng.standard_normal(3)]))
+
+
+def build_laboratory(spec: LaboratorySpec, config: WorldConfig) -> TrueLaboratory:
+    """Draw the laboratory from ``config.seed``; every quantity has random numbers of its own."""
+    mounting, seed = spec.mounting, config.seed
+    p_light = np.array(spec.lamp.p_trs_m) + config.lamp.placement_sigma_m * named_rng(
+        seed, "light"
+    ).standard_normal(3)
+    p_targets = _true_reflectors(
+        spec.reflectors, config.tracker.reflector_deviation_m, named_rng(seed, "reflectors")
+    )
+    p_targets[LAMP_TARGET] = _housing_target(p_light, config.lamp, named_rng(seed, "housing"))
+    return TrueLaboratory(
+        trk_from_trs=_place_tracker(spec, config, named_rng(seed, "tracker")).inv(),
+        trs_from_rail=deviate(
+            mounting.trs_from_rail.pose, config.robot.rail_deviation, named_rng(seed, "rail")
+        ),
+        flange_from_cam=deviate(
+            mounting.flange_from_cam.pose,
+            config.mounting.camera_deviation,
+            named_rng(seed, "camera mounting"),
+        ),
+        flange_from_tmac=deviate(
+            mounting.flange_from_tmac.pose,
+            config.mounting.tmac_deviation,
+            named_rng(seed, "tmac mounting"),
+        ),
+        camera=_true_camera(spec.camera, config.lens, named_rng(seed, "lens")),
+        p_targets_trs_m=p_targets,
+        p_light_trs_m=p_light,
+    )
+
+
+def serial_number(spec: LaboratorySpec, config: WorldConfig) -> str:
+    """Give a serial number that two laboratories share only if they are built alike.
+
+    Scripted faults leave it as it is: they happen to a laboratory and do not make another one.
+    """
+    parts = {
+        "laboratory": spec.model_dump(mode="json"),
+        "world": config.model_dump(mode="json", exclude={"faults"}),
+    }
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:12]
+
+
+def _true_reflectors(
+    spec: ReflectorsSpec, deviation_m: float, rng: Generator
+) -> dict[str, FloatArray]:
+    """Place the reflectors; F_TRS is defined by them, so three coordinates are free and no more."""
+    down, right_x, right_y = deviation_m * rng.uniform(-1.0, 1.0, 3)
+    return {
+        "top_left": np.zeros(3),
+        "bottom_left": np.array(spec.bottom_left_m) + np.array([down, 0.0, 0.0]),
+        "top_right": np.array(spec.top_right_m) + np.array([right_x, right_y, 0.0]),
+    }
+
+
+def _housing_target(p_light: FloatArray, config: TrueLampConfig, rng: Generator) -> FloatArray:
+    return p_light + config.housing_offset_m * unit(rng.standard_normal(3))
+
+
+def _place_tracker(spec: LaboratorySpec, config: WorldConfig, rng: Generator) -> RigidTransform:
+    """Give ``trs_from_trk``: in front of the model, to one side of the rail, roughly level."""
+    reflectors = spec.reflectors
+    centre = (np.array(reflectors.bottom_left_m) + np.array(reflectors.top_right_m)) / 2
+    azimuth = rng.choice([-1.0, 1.0]) * np.radians(rng.uniform(30.0, 60.0))
+    direction = np.array([0.0, np.sin(azimuth), np.cos(azimuth)])
+    p_trs = centre + rng.uniform(*config.tracker.distance_range_m) * direction
+    upright = Rotation.from_matrix([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
+    heading = Rotation.from_rotvec([0.0, 0.0, rng.uniform(-np.pi, np.pi)])
+    tilt = Rotation.from_rotvec(np.radians(1.0) * rng.standard_normal(3))
+    return RigidTransform.from_components(p_trs, upright * heading * tilt)
+
+
+def _true_camera(spec: CameraSpec, lens: LensConfig, rng: Generator) -> CameraModel:
+    """Put the lens in front of the whole sensor, then read out the region."""
+    focal, aspect, *centre = rng.standard_normal(4)
+    fx = lens.focal_length_m / spec.pixel_pitch_m * (1.0 + lens.focal_length_sigma * focal)
+    draws = rng.standard_normal(5)
+    k1, k2, p1, p2, k3 = (
+        float(mean + sigma * draw)
+        for mean, sigma, draw in zip(lens.distortion, lens.distortion_sigma, draws, strict=True)
+    )
+    sensor = CameraModel(
+        width_px=spec.sensor_width_px,
+        height_px=spec.sensor_height_px,
+        fx_px=float(fx),
+        fy_px=float(fx * (1.0 + lens.aspect_sigma * aspect)),
+        cx_px=float((spec.sensor_width_px - 1) / 2 + lens.principal_point_sigma_px * centre[0]),
+        cy_px=float((spec.sensor_height_px - 1) / 2 + lens.principal_point_sigma_px * centre[1]),
+        distortion=(k1, k2, p1, p2, k3),
+    )
+    return sensor.cropped(
+        left_px=spec.left_px,
+        top_px=spec.top_px,
+        width_px=spec.width_px,
+        height_px=spec.height_px,
+    )
