@@ -42,7 +42,12 @@ class Model(BaseModel):
     )
 
 
-def _resolve_existing_file(value: Path, info: ValidationInfo) -> Path:
+def existing_file(value: Path, info: ValidationInfo) -> Path:
+    """Resolve a file named relative to the YAML file that names it.
+
+    Raises:
+        ValueError: It does not exist; pydantic adds where it is named.
+    """
     context: dict[str, Any] = info.context or {}
     path = context.get("base_dir", Path()) / value.expanduser()
     if info.field_name in context.get("overridden", ()):
@@ -54,7 +59,7 @@ def _resolve_existing_file(value: Path, info: ValidationInfo) -> Path:
     return path
 
 
-ExistingFile: TypeAlias = Annotated[Path, AfterValidator(_resolve_existing_file)]
+ExistingFile: TypeAlias = Annotated[Path, AfterValidator(existing_file)]
 """A file named relative to the YAML file that names it; resolved and checked when loaded."""
 
 

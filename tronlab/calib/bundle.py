@@ -10,8 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
-from scipy.spatial.transform import RigidTransform
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from tronlab.calib.board import BoardView
 from tronlab.calib.hand_eye import HandEyeStart
@@ -25,12 +24,18 @@ from tronlab.devices.readings import PoseReading
 from tronlab.errors import CalibrationError
 from tronlab.geometry.camera import CameraModel
 from tronlab.geometry.poses import FloatArray
-from tronlab.geometry.uncertainty import perturb, pose_difference
+from tronlab.geometry.uncertainty import perturb
 
 _HAND_EYE = slice(N_INTRINSICS, N_INTRINSICS + 6)
 _BOARD = slice(N_INTRINSICS + 6, N_INTRINSICS + 12)
 _N_COMMON = N_INTRINSICS + 12
 """Unknowns that all stations share; six of each station follow."""
+
+_FIRST_DAMPING = 1e-6
+_LAST_DAMPING = 1e6
+_MAX_STEPS = 100
+_CONVERGED = 1e-12
+"""Relative change of the sum of squares a step must promise to be worth taking."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +74,10 @@ class BundleSolution:
 class _Problem:
     camera: CameraModel
     start: HandEyeStart
-    trk_from_tmac: tuple[RigidTransform, ...]
+    tmac_rotations: Rotation
+    """As the tracker read them, one a station."""
+    p_tmac_trk_m: FloatArray
+    """As the tracker read them, shape (n_stations, 3)."""
     pose_weights: FloatArray
     """W with W^T W the inverse covariance of each reading, shape (n_stations, 6, 6)."""
     i_station: NDArray[np.intp]
@@ -86,7 +94,10 @@ class _State:
     camera: CameraModel
     tmac_from_cam: RigidTransform
     trk_from_board: RigidTransform
-    trk_from_tmac: tuple[RigidTransform, ...]
+    tmac_rotations: FloatArray
+    """Of each corner's station, shape (n, 3, 3)."""
+    p_tmac_trk_m: FloatArray
+    """Of each corner's station, shape (n, 3)."""
 
 
 def solve_bundle(
@@ -104,22 +115,40 @@ def solve_bundle(
         CalibrationError: A reading without a usable covariance, or no convergence.
     """
     problem = _make_problem(stations, camera, start, sigma_px)
-    zero = np.zeros(_N_COMMON + 6 * len(stations))
-    zero[:N_INTRINSICS] = intrinsics_of(camera)
-    answer = least_squares(
-        lambda x: _residuals(problem, x),
-        zero,
-        jac=lambda x: _jacobian(problem, x),  # pyright: ignore[reportArgumentType]  # scipy's stub
-        x_scale="jac",
-        method="lm",
-        xtol=1e-10,
-        ftol=1e-10,
-        gtol=1e-10,
-        max_nfev=100,
+    unknowns = np.zeros(_N_COMMON + 6 * len(stations))
+    unknowns[:N_INTRINSICS] = intrinsics_of(camera)
+    return _solution(problem, _minimise(problem, unknowns))
+
+
+def _minimise(problem: _Problem, x: FloatArray) -> FloatArray:
+    """Find the unknowns of the least sum of squares by Levenberg's and Marquardt's method.
+
+    The normal equations are solved, columns scaled: the problem is well determined, and a dense
+    factorisation of the Jacobian would take a hundred times as long.
+    """
+    residuals, damping = _residuals(problem, x), _FIRST_DAMPING
+    for _ in range(_MAX_STEPS):
+        cost = residuals @ residuals
+        jacobian = _jacobian(problem, x)
+        scale = np.linalg.norm(jacobian, axis=0)
+        normal = (jacobian / scale).T @ (jacobian / scale)
+        gradient = (jacobian / scale).T @ residuals
+        while damping < _LAST_DAMPING:
+            step = np.linalg.solve(normal + damping * np.eye(len(x)), -gradient)
+            if -(gradient @ step) < _CONVERGED * (1.0 + cost):
+                return x + step / scale
+            trial = x + step / scale
+            trial_residuals = _residuals(problem, trial)
+            if trial_residuals @ trial_residuals < cost:  # false for NaN: a point behind the camera
+                x, residuals, damping = trial, trial_residuals, damping / 10
+                break
+            damping *= 10
+        else:
+            break
+    raise CalibrationError(
+        "hand-eye: the least-squares solution does not converge; start and measurements contradict"
+        " each other"
     )
-    if not answer.success:
-        raise CalibrationError(f"hand-eye: the least-squares solution failed: {answer.message}")
-    return _solution(problem, answer.x)
 
 
 def _make_problem(
@@ -135,10 +164,12 @@ def _make_problem(
                 " definite"
             ) from None
         weights.append(np.asarray(np.linalg.inv(root), dtype=np.float64))
+    poses = [station.reading.trk_from_tmac for station in stations]
     return _Problem(
         camera=camera,
         start=start,
-        trk_from_tmac=tuple(station.reading.trk_from_tmac for station in stations),
+        tmac_rotations=Rotation.concatenate([pose.rotation for pose in poses]),
+        p_tmac_trk_m=np.array([pose.translation for pose in poses]),
         pose_weights=np.array(weights),
         i_station=np.repeat(np.arange(len(stations)), [len(station.view) for station in stations]),
         p_board_m=np.vstack([station.view.p_board_m for station in stations]),
@@ -152,30 +183,23 @@ def _station_unknowns(x: FloatArray) -> FloatArray:
 
 
 def _state(problem: _Problem, x: FloatArray) -> _State:
+    unknowns = _station_unknowns(x)
+    rotations = Rotation.from_rotvec(unknowns[:, :3]) * problem.tmac_rotations
     return _State(
         camera=with_intrinsics(problem.camera, x[:N_INTRINSICS]),
         tmac_from_cam=perturb(problem.start.tmac_from_cam, x[_HAND_EYE]),
         trk_from_board=perturb(problem.start.trk_from_board, x[_BOARD]),
-        trk_from_tmac=tuple(
-            perturb(pose, difference)
-            for pose, difference in zip(problem.trk_from_tmac, _station_unknowns(x), strict=True)
-        ),
+        tmac_rotations=rotations.as_matrix()[problem.i_station],
+        p_tmac_trk_m=(problem.p_tmac_trk_m + unknowns[:, 3:])[problem.i_station],
     )
 
 
 def _points(problem: _Problem, state: _State) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Give the corners in trk, in tmac less the camera's place, and in cam, shape (n, 3) each."""
-    rotations, translations = _station_arrays(problem, state)
     p_trk = state.trk_from_board.apply(problem.p_board_m)
-    p_tmac = np.einsum("nji,nj->ni", rotations, p_trk - translations)
+    p_tmac = np.einsum("nji,nj->ni", state.tmac_rotations, p_trk - state.p_tmac_trk_m)
     from_cam_tmac = p_tmac - state.tmac_from_cam.translation
     return p_trk, from_cam_tmac, state.tmac_from_cam.rotation.inv().apply(from_cam_tmac)
-
-
-def _station_arrays(problem: _Problem, state: _State) -> tuple[FloatArray, FloatArray]:
-    rotations = np.array([pose.rotation.as_matrix() for pose in state.trk_from_tmac])
-    translations = np.array([pose.translation for pose in state.trk_from_tmac])
-    return rotations[problem.i_station], translations[problem.i_station]
 
 
 def _residuals(problem: _Problem, x: FloatArray) -> FloatArray:
@@ -188,7 +212,7 @@ def _residuals(problem: _Problem, x: FloatArray) -> FloatArray:
 def _jacobian(problem: _Problem, x: FloatArray) -> FloatArray:
     """Give the derivatives of the residuals by the unknowns, shape (n_residuals, n_unknowns)."""
     state = _state(problem, x)
-    n_corners, n_stations = len(problem.uv_px), len(problem.trk_from_tmac)
+    n_corners, n_stations = len(problem.uv_px), len(problem.p_tmac_trk_m)
     by_hand_eye, by_board, by_station, by_intrinsics = _pixel_derivatives(problem, state)
     pixels = np.zeros((n_corners, 2, len(x)))
     pixels[:, :, :N_INTRINSICS] = by_intrinsics
@@ -215,11 +239,10 @@ def _pixel_derivatives(
     """
     p_trk, from_cam_tmac, p_cam = _points(problem, state)
     _, by_point, by_intrinsics = project_with_jacobian(state.camera, p_cam)
-    rotations, translations = _station_arrays(problem, state)
     by_tmac = by_point @ state.tmac_from_cam.rotation.as_matrix().T
-    by_trk = by_tmac @ np.swapaxes(rotations, 1, 2)
+    by_trk = by_tmac @ np.swapaxes(state.tmac_rotations, 1, 2)
     by_hand_eye = np.concatenate([by_tmac @ _cross(from_cam_tmac), -by_tmac], axis=2)
-    by_station = np.concatenate([by_trk @ _cross(p_trk - translations), -by_trk], axis=2)
+    by_station = np.concatenate([by_trk @ _cross(p_trk - state.p_tmac_trk_m), -by_trk], axis=2)
     turned_board = p_trk - state.trk_from_board.translation
     by_board = np.concatenate([-by_trk @ _cross(turned_board), by_trk], axis=2)
     return by_hand_eye, by_board, by_station, by_intrinsics
@@ -267,16 +290,9 @@ def _solution(problem: _Problem, x: FloatArray) -> BundleSolution:
         tmac_from_cam_covariance=to_left @ covariance[_HAND_EYE, _HAND_EYE] @ to_left.T,
         trk_from_board=state.trk_from_board,
         residuals_px=tuple(
-            by_corner[problem.i_station == i] for i in range(len(problem.trk_from_tmac))
+            by_corner[problem.i_station == i] for i in range(len(problem.p_tmac_trk_m))
         ),
-        pose_corrections=np.array(
-            [
-                pose_difference(measured, estimated)
-                for measured, estimated in zip(
-                    problem.trk_from_tmac, state.trk_from_tmac, strict=True
-                )
-            ]
-        ),
+        pose_corrections=_station_unknowns(x),
         chi_square_pixels=float(pixels @ pixels),
         dof_pixels=len(pixels) - (n_unknowns - explained_poses),
         chi_square_poses=float(poses @ poses),

@@ -19,6 +19,8 @@ from tronlab.geometry.poses import FloatArray
 MAX_CHI_SQUARE_RATIO = 3.0
 """Pose corrections that many times larger (squared) than the tracker's covariance allows are no
 noise: readings and images contradict each other."""
+MIN_P_VALUE = 1e-3
+"""Less likely pose corrections deserve a warning."""
 
 
 def solve_calibration(

@@ -27,6 +27,8 @@ _AIMED_LEVEL = 0.7
 """Of full scale, for the bright parts of the image: far from saturation, well above the noise."""
 _ACCEPTED_LEVELS = 0.5, 0.85
 _EXPOSURE_TRIES = 8
+_DARKEST = 0.035
+"""An image darker than this says little about how much longer to expose."""
 
 
 class Progress(Protocol):
@@ -178,22 +180,28 @@ def _find_exposure(devices: Devices, settings: CalibrationSettings) -> None:
     """Set the exposure so that the white of the board is bright and nothing is saturated.
 
     Raises:
-        CalibrationError: No exposure tried gives such an image.
+        CalibrationError: No exposure the camera can do gives such an image.
     """
     low, high = _ACCEPTED_LEVELS
-    exposure_s, level = settings.exposure_s, 0.0
+    exposure_s, seen = settings.exposure_s, ""
     for _ in range(_EXPOSURE_TRIES):
-        devices.camera.configure(
-            exposure_s=exposure_s, gain_db=settings.gain_db, pixel_format=settings.pixel_format
-        )
+        if exposure_s > settings.grab_timeout_s / 2:
+            break
+        try:
+            devices.camera.configure(
+                exposure_s=exposure_s, gain_db=settings.gain_db, pixel_format=settings.pixel_format
+            )
+        except LimitError as error:
+            seen += f" {error};"
+            break
         level = _brightness(devices.camera.grab(timeout_s=settings.grab_timeout_s))
         if low <= level <= high:
             return
-        exposure_s *= 0.25 if level > high else min(_AIMED_LEVEL / max(level, 0.01), 20.0)
+        seen = f" at {exposure_s:.3g} s its white is at {level:.1%} of full scale;"
+        exposure_s *= 0.25 if level > high else _AIMED_LEVEL / max(level, _DARKEST)
     raise CalibrationError(
-        f"camera: no exposure found for the board: at {exposure_s:.3g} s its white is at"
-        f" {level:.0%} of full scale, wanted {low:.0%} to {high:.0%}; is the lamp on, is the board"
-        " in place?"
+        f"camera: no exposure found for the board (wanted {low:.0%} to {high:.0%}):{seen}"
+        "\nis the lamp on, is the board in place?"
     )
 
 

@@ -5,11 +5,19 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field, ValidationInfo
 
 from tronlab.render.renderer import Photometry, RaysPerPixel
 from tronlab.trajectory.config import TrajectoryConfig
-from tronlab.yaml_models import ExistingFile, Model, parse_model, read_text
+from tronlab.yaml_models import ExistingFile, Model, existing_file, parse_model, read_text
+
+
+def _calibration_file(value: Path, info: ValidationInfo) -> Path:
+    try:
+        return existing_file(value, info)
+    except ValueError as error:
+        raise ValueError(f"{error}; make it: tronlab calibrate all --rig RIG.yaml") from error
+
 
 Seconds = Annotated[float, Field(gt=0, le=3600)]
 
@@ -42,7 +50,7 @@ class SettleConfig(Model):
     """When the camera counts as standing still, judged by the tracker."""
 
     wait_s: Annotated[float, Field(ge=0, le=600)] = 0.5
-    """Wait after the robot stopped, and between two looks."""
+    """Wait between two looks."""
     window_s: Seconds = 0.1
     """Averaging time of one look."""
     max_shift_m: Annotated[float, Field(gt=0)] = 5e-4
@@ -88,7 +96,7 @@ class CampaignConfig(Model):
     """One line for the report."""
     rig: ExistingFile
     """Rig file, relative to this file."""
-    calibration: ExistingFile
+    calibration: Annotated[Path, AfterValidator(_calibration_file)]
     """Calibration record of that rig, relative to this file."""
     seed: Annotated[int, Field(ge=0, lt=2**32)] = 0
     """Seed of every random number of the run: noise of simulated devices."""

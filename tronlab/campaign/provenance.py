@@ -5,7 +5,6 @@ import subprocess
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from tronlab.devices.readings import DeviceIdentity
 from tronlab.devices.registry import Devices
 
 _PACKAGES = ("numpy", "scipy", "h5py", "numba", "bluesky", "pydantic")
@@ -37,15 +36,9 @@ def software_versions() -> dict[str, str]:
 
 def device_identities(devices: Devices) -> dict[str, str]:
     """Ask every device, and the tracker for its T-MAC, as ``maker model serial firmware``."""
-    identities = {device.name: identity_text(device.identify()) for device in devices.all()}
-    identities["tmac"] = identity_text(devices.tracker.identify_target())
+    identities = {device.name: str(device.identify()) for device in devices.all()}
+    identities["tmac"] = str(devices.tracker.identify_target())
     return identities
-
-
-def identity_text(identity: DeviceIdentity) -> str:
-    """Give an identity as one line."""
-    parts = (identity.maker, identity.model, identity.serial, identity.firmware)
-    return " ".join(part for part in parts if part)
 
 
 def _git_revision(checkout: Path) -> str:

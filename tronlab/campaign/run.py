@@ -1,7 +1,7 @@
 """Run a campaign: from its YAML file to a recorded dataset."""
 
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -19,7 +19,7 @@ from tronlab.campaign.stop import RunStoppedError, StopRequest, stopped_by_ctrl_
 from tronlab.dataset.records import Provenance, ReferenceView
 from tronlab.dataset.writer import DatasetWriter
 from tronlab.devices.registry import Devices, connected
-from tronlab.errors import CalibrationError, ConfigError
+from tronlab.errors import CalibrationError, ConfigError, DatasetError
 from tronlab.render.heightfield import HeightfieldRenderer
 from tronlab.render.renderer import Lamp
 from tronlab.terrain.heightmap import HeightMap
@@ -202,7 +202,7 @@ def _record(
         config=job.campaign.config,
         truth_source=TruthSource(job.calibration, heightmap, renderer),
     )
-    with _writer(job, provenance, live=live) as writer:
+    with _writer(job, provenance, taker=taker, live=live) as writer:
         writer.add_references(views)
         with stopped_by_ctrl_c(stop, announce=live.announce):
             run_shots(
@@ -231,7 +231,9 @@ def _references(
 
 
 @contextmanager
-def _writer(job: _Job, provenance: Provenance, *, live: Live) -> Generator[DatasetWriter]:
+def _writer(
+    job: _Job, provenance: Provenance, *, taker: ShotTaker, live: Live
+) -> Generator[DatasetWriter]:
     """Open the dataset; however the run ends, the file says how."""
     path, n_planned = job.dataset_path, len(job.plan.shots)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -245,8 +247,10 @@ def _writer(job: _Job, provenance: Provenance, *, live: Live) -> Generator[Datas
         except (RunStoppedError, KeyboardInterrupt):
             writer.finish("aborted", reason="stopped by the operator")
             raise CampaignInterrupted(f"stopped: {so_far()}") from None
-        except Exception:  # the writer itself records it as failed
-            live.announce(f"the run failed: {so_far()}")
+        except Exception as error:
+            with suppress(DatasetError):  # a full disk must not hide why the run failed
+                writer.finish("failed", reason=f"{taker.in_hand}: {error}")
+            live.announce(f"the run failed at {taker.in_hand}; {so_far()}")
             raise
         writer.finish("complete")
         live.announce(so_far())

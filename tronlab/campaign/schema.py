@@ -108,7 +108,7 @@ def _type(field: Mapping[str, Any], members: Mapping[str, Mapping[str, Any]]) ->
             if items
             else f"list of {field['items']['type']}"
         )
-    limits = [f"{word} {field[key]}" for key, word in _LIMITS.items() if key in field]
+    limits = [f"{word} {_short(field[key])}" for key, word in _LIMITS.items() if key in field]
     name = "file" if field.get("format") == "path" else field.get("type", "value")
     return ", ".join([name, *limits])
 
@@ -117,6 +117,10 @@ def _default(field: Mapping[str, Any]) -> str:
     if "default" not in field:
         return ""
     return "" if field["default"] in (None, "") else f"`{_plain(field['default'])}`"
+
+
+def _short(number: float) -> str:
+    return str(int(number)) if number == int(number) else f"{number:g}"
 
 
 def _plain(value: object) -> str:

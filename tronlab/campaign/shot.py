@@ -75,6 +75,12 @@ class ShotTaker:
     monotonic_s: Callable[[], float] = time.monotonic
     _now: _Readings | None = field(default=None, init=False)
 
+    @property
+    def in_hand(self) -> str:
+        """Get which shot and attempt are being taken, for messages."""
+        now = self._now
+        return f"shot {now.shot.shot_id}, attempt {now.attempt}" if now else "no shot yet"
+
     def begin(self, shot: Shot, attempt: int) -> None:
         """Forget the last shot: nothing of it can be paired with this one."""
         self._now = _Readings(shot=shot, attempt=attempt)

@@ -7,6 +7,7 @@ import typer
 
 if TYPE_CHECKING:
     from tronlab.dataset.reader import Dataset
+    from tronlab.geometry.poses import FloatArray
 
 EXIT_FINDINGS = 1
 
@@ -59,8 +60,9 @@ def _print_table(rows: dict[str, str]) -> None:
 
 
 def _facts(opened: "Dataset") -> dict[str, str]:
+    from tronlab.dataset.schema import TRUTH
+
     provenance = opened.provenance
-    truths = opened.truths()
     return {
         "file": str(opened.path),
         "size": f"{opened.path.stat().st_size / 1e6:.1f} MB",
@@ -74,8 +76,8 @@ def _facts(opened: "Dataset") -> dict[str, str]:
         "shots": f"{opened.n_shots} of {provenance.n_shots_planned} planned",
         "reference views": str(opened.n_references),
         "images": _images(opened),
-        "range to terrain": _span([t.range_los_m for t in truths], "m"),
-        "usable fraction": _span([t.usable_fraction for t in truths], ""),
+        "range to terrain": _span(opened.rows(f"{TRUTH}/range_los_m"), "m"),
+        "usable fraction": _span(opened.rows(f"{TRUTH}/usable_fraction"), ""),
         "calibrated": _calibrated(provenance.calibration_json),
         **{f"device {name}": text for name, text in sorted(provenance.devices.items())},
         **{f"version {name}": text for name, text in sorted(provenance.software.items())},
@@ -87,8 +89,8 @@ def _images(opened: "Dataset") -> str:
     return f"{columns} x {rows}, {opened.image_dtype or 'none yet'}"
 
 
-def _span(values: list[float], unit: str) -> str:
-    return f"{min(values):.3f} to {max(values):.3f} {unit}".rstrip() if values else "-"
+def _span(values: "FloatArray", unit: str) -> str:
+    return f"{values.min():.3f} to {values.max():.3f} {unit}".rstrip() if values.size else "-"
 
 
 def _duration(start: str, end: str) -> str:

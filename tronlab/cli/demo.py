@@ -4,12 +4,16 @@ import json
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from tronlab.errors import ConfigError
 
+if TYPE_CHECKING:
+    from tronlab.campaign.live import Live
+
+EXIT_INTERRUPTED = 130
 DEMO_CAMPAIGN = Path("campaigns/straight_line.yaml")
 DEFAULT_OUT = Path("out/demo")
 
@@ -21,18 +25,15 @@ def demo(
 ) -> None:
     """Run, score and report campaigns/straight_line.yaml on the simulated laboratory."""
     from tronlab.campaign.live import open_live
-    from tronlab.campaign.run import run_campaign
 
     campaign = find_campaign()
     out = free_folder(out, announce=lambda text: typer.echo(text, err=True))
     try:
         with open_live(sys.stderr) as live:
-            dataset = run_campaign(campaign, out_dir=out, live=live)
-        _score(campaign, dataset, out=out)
-        report = _report(out)
+            report = _run_score_report(campaign, out, live)
     except KeyboardInterrupt as interrupt:
         typer.echo(str(interrupt) or "interrupted", err=True)
-        raise typer.Exit(130) from None
+        raise typer.Exit(EXIT_INTERRUPTED) from None
     typer.echo(summary_table(json.loads((out / "summary.json").read_text(encoding="utf-8"))))
     typer.echo(f"\nreport: {report}")
 
@@ -85,15 +86,17 @@ def _summary_row(core: str, statistics: Mapping[str, Any]) -> str:
     return f"{core:<34}{mean:>9}{maximum:>9}{solved:>9}"
 
 
-def _score(campaign: Path, dataset: Path, *, out: Path) -> None:
-    from tronlab.campaign.config import load_campaign
+def _run_score_report(campaign: Path, out: Path, live: "Live") -> Path:
+    from tronlab.campaign.run import run_campaign
+    from tronlab.report.build import build_report
     from tronlab.score.rescore import score_dataset
 
-    cores = load_campaign(campaign).config.score.cores
-    score_dataset(dataset, cores=cores, out_dir=out)
-
-
-def _report(out: Path) -> Path:
-    from tronlab.report.build import build_report
-
-    return build_report(out, announce=lambda text: typer.echo(text, err=True))
+    dataset = run_campaign(campaign, out_dir=out, live=live)
+    score_dataset(
+        dataset,
+        out_dir=out,
+        progress=lambda n_done, n_all: live.advance("score", n_done=n_done, n_all=n_all),
+        announce=live.announce,
+    )
+    live.announce("report: drawing figures")
+    return build_report(out, announce=live.announce)

@@ -23,7 +23,7 @@ def run(
     out: Annotated[
         Path | None,
         typer.Option(
-            metavar="DIR", help="Folder of the dataset, new or empty.  [default: out/NAME]"
+            metavar="DIR", help="Folder of the dataset, new or empty (default: out/NAME)."
         ),
     ] = None,
     seed: Annotated[

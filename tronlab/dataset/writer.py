@@ -28,6 +28,9 @@ from tronlab.dataset.records import Provenance, ReferenceView, ShotRecord
 from tronlab.dataset.skeleton import dataset_at
 from tronlab.errors import DatasetError
 
+_WRITE_ERRORS = (OSError, RuntimeError)
+"""What h5py raises when the operating system does not take what HDF5 writes."""
+
 _STRUCTURE_BYTES = 1 << 20
 """More than HDF5 needs for the structure around a few stacks of images."""
 
@@ -35,8 +38,9 @@ _STRUCTURE_BYTES = 1 << 20
 class DatasetWriter:
     """Writes one dataset file.
 
-    Leaving the ``with`` block by an exception before ``finish`` records status ``failed`` with the
-    exception's text; leaving it otherwise without ``finish`` leaves status ``running``.
+    Leaving the ``with`` block by an exception before ``finish`` records the exception and status
+    ``failed``, or ``aborted`` for Ctrl-C. Leaving it otherwise without ``finish`` leaves the status
+    ``running``.
     """
 
     def __init__(self, path: Path, provenance: Provenance) -> None:
@@ -74,7 +78,8 @@ class DatasetWriter:
             return
         # The error that ends the block is the one to report, not what follows from it.
         with suppress(DatasetError):
-            self.finish("failed", reason=f"{type(error).__name__}: {error}")
+            status = "aborted" if isinstance(error, KeyboardInterrupt) else "failed"
+            self.finish(status, reason=f"{type(error).__name__}: {error}".removesuffix(": "))
 
     @property
     def n_committed(self) -> int:
@@ -100,7 +105,7 @@ class DatasetWriter:
             self._probe_room(n_bytes)
             skeleton.create_references(self._file, tuple(views))
             self._sync()
-        except OSError as error:
+        except _WRITE_ERRORS as error:
             raise DatasetError(
                 f"{self.path}: the reference views could not be written: {error}"
             ) from error
@@ -124,7 +129,7 @@ class DatasetWriter:
             self._file.flush()
             self._row(schema.N_COMMITTED)[()] = self.n_committed + 1
             self._file.flush()
-        except OSError as error:
+        except _WRITE_ERRORS as error:
             raise DatasetError(
                 f"{self.path}: shot {shot.shot_id} could not be written: {error};"
                 f" the {self.n_committed} shots before it are safe"
@@ -142,14 +147,17 @@ class DatasetWriter:
             allowed = ", ".join(get_args(schema.FinalStatus))
             raise DatasetError(f"{self.path}: status '{status}' is not one of {allowed}")
         try:
-            if self.n_committed < self._provenance.n_shots_planned:
-                skeleton.shrink_rows(self._file, self.n_committed)
+            # The file's own count: an interrupted commit may have counted its shot, and then it is
+            # complete.
+            n_rows = int(self._row(schema.N_COMMITTED)[()])
+            if n_rows < self._provenance.n_shots_planned:
+                skeleton.shrink_rows(self._file, n_rows)
             dataset_at(self._file, "entry/recording/reason")[()] = reason.replace("\0", " ")
             dataset_at(self._file, "entry/end_time")[()] = skeleton.utc_now()
             self._sync()
             dataset_at(self._file, "entry/recording/status")[()] = status
             self._sync()
-        except OSError as error:
+        except _WRITE_ERRORS as error:
             raise DatasetError(f"{self.path}: could not be finished: {error}") from error
         finally:
             self._close()
@@ -185,8 +193,8 @@ class DatasetWriter:
             text = f"{n_bytes / 1e6:.0f} MB needed, only {free / 1e6:.0f} MB free; free some space"
             raise OSError(errno.ENOSPC, text)
         size = self.path.stat().st_size
-        os.truncate(self._file.id.get_vfd_handle(), size + n_bytes + _STRUCTURE_BYTES)
-        os.truncate(self._file.id.get_vfd_handle(), size)
+        os.ftruncate(self._file.id.get_vfd_handle(), size + n_bytes + _STRUCTURE_BYTES)
+        os.ftruncate(self._file.id.get_vfd_handle(), size)
 
     def _write(self, shot: ShotRecord, values: Values) -> None:
         row = self.n_committed
@@ -220,7 +228,7 @@ class DatasetWriter:
     def _close(self) -> None:
         try:
             self._file.close()
-        except (OSError, RuntimeError) as error:
+        except _WRITE_ERRORS as error:
             raise DatasetError(f"{self.path}: could not be closed properly: {error}") from error
 
 

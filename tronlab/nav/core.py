@@ -35,8 +35,10 @@ class NavigationResult:
 
 
 class NavigationCore(Protocol):
-    """Finds the camera's pose in an image. A plug-in: entry point group
-    ``tronlab.navigation_cores``, a factory ``factory(context: CoreContext) -> NavigationCore``.
+    """Finds the camera's pose in an image.
+
+    A plug-in: entry point group ``tronlab.navigation_cores``, a factory
+    ``factory(context: CoreContext) -> NavigationCore``.
     """
 
     @property

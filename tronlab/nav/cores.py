@@ -1,8 +1,8 @@
 """The built-in navigation cores, and the way from a core's name to a core.
 
 ``akaze`` and ``brisk`` are the paper's estimator (section 2.3): the most similar matches through
-EPnP. ``akaze-refined`` and ``brisk-refined`` take more of the same matches through RANSAC and robust
-least squares. Cores with the same detector share its work: database, features and matches.
+EPnP. ``akaze-refined`` and ``brisk-refined`` take them through RANSAC, and all that agree through
+robust least squares. Cores with the same detector share its work: database, features, matches.
 """
 
 import hashlib
@@ -16,7 +16,6 @@ import numpy as np
 
 from tronlab.errors import ScoreError
 from tronlab.geometry.camera import CameraModel
-from tronlab.geometry.poses import FloatArray
 from tronlab.nav.core import CoreContext, NavigationCore, NavigationResult
 from tronlab.nav.database import Database, build_database
 from tronlab.nav.features import AKAZE, BRISK, Detector, Features, GreyImage, Mask, detect_features
@@ -24,16 +23,17 @@ from tronlab.nav.matching import LandmarkIndex, Matches
 from tronlab.nav.pose import Correspondences, NoPoseError, refine_pose, solve_epnp, solve_ransac
 
 ENTRY_POINT_GROUP = "tronlab.navigation_cores"
+BUILT_IN_CORES = ("akaze", "brisk", "akaze-refined", "brisk-refined")
 
-BEST_MAX_RATIO = 0.8
-"""Least similar to a rival landmark a match may be to count among the best."""
-N_BEST = 200
-"""Matches the paper's estimator trusts."""
-N_RANSAC = 600
+BEST_MAX_RATIO = 0.5
+"""Distance of a match, over that to its nearest rival, up to which it is among the best."""
+N_BEST = 1500
+"""Most matches the paper's estimator trusts: more of them make EPnP steadier, the lesser ones
+bring in wrong ones, which it cannot stand."""
+RANSAC_MAX_RATIO = 0.8
+N_RANSAC = 500
 RANSAC_TOLERANCE_PX = 4.0
 GATE_PX = 6.0
-
-_LEAST_SIZE_PX = 4.8
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,13 +44,6 @@ class Sighting:
     matches: Matches
     time_detect_s: float
     time_match_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class Solution:
-    """What an estimator makes of the matches."""
-
-    result: NavigationResult
 
 
 class LandmarkFinder:
@@ -78,7 +71,7 @@ class LandmarkFinder:
             uv,
             self.camera.rays(uv),
             self.database.p_trs_m[matches.landmark],
-            np.maximum(size_px / _LEAST_SIZE_PX, 1.0),
+            size_px / sighting.features.size_px.min(),
         )
 
     def _sight(self, image: GreyImage, mask: Mask) -> Sighting:
@@ -128,21 +121,25 @@ class FeatureCore:
         )
 
 
-def best_matches(sighting: Sighting, *, n_max: int) -> Matches:
-    """Give the most similar matches that have no rival."""
+def best_matches(sighting: Sighting, *, max_ratio: float, n_max: int) -> Matches:
+    """Give the least ambiguous matches: very similar to one landmark, and to no other."""
     matches = sighting.matches
-    return matches.take(np.flatnonzero(matches.ratio <= BEST_MAX_RATIO)[:n_max])
+    return matches.take(np.flatnonzero(matches.ratio <= max_ratio)[:n_max])
 
 
 def estimate_by_epnp(finder: LandmarkFinder, sighting: Sighting) -> NavigationResult:
     """Estimate as the paper does: EPnP on the most similar matches, all of them trusted."""
-    best = finder.correspondences(sighting, best_matches(sighting, n_max=N_BEST))
+    best = finder.correspondences(
+        sighting, best_matches(sighting, max_ratio=BEST_MAX_RATIO, n_max=N_BEST)
+    )
     return NavigationResult("ok", solve_epnp(best), uv_inliers=best.uv)
 
 
 def estimate_by_least_squares(finder: LandmarkFinder, sighting: Sighting) -> NavigationResult:
     """Estimate by RANSAC on the most similar matches, then least squares on all that agree."""
-    best = finder.correspondences(sighting, best_matches(sighting, n_max=N_RANSAC))
+    best = finder.correspondences(
+        sighting, best_matches(sighting, max_ratio=RANSAC_MAX_RATIO, n_max=N_RANSAC)
+    )
     start, _ = solve_ransac(best, tolerance=RANSAC_TOLERANCE_PX / finder.camera.fx_px)
     every = finder.correspondences(sighting, sighting.matches)
     estimate = refine_pose(start, every, finder.camera, gate_px=GATE_PX)
@@ -204,5 +201,5 @@ def _fingerprint(image: GreyImage, mask: Mask) -> bytes:
     digest = hashlib.blake2b(digest_size=16)
     for array in (image, mask):
         digest.update(f"{array.dtype} {array.shape}".encode())
-        digest.update(np.ascontiguousarray(array))
+        digest.update(np.ascontiguousarray(array).data)
     return digest.digest()

@@ -10,7 +10,7 @@ from tronlab.dataset.records import ReferenceView
 from tronlab.errors import ScoreError
 from tronlab.geometry.camera import CameraModel
 from tronlab.geometry.poses import FloatArray
-from tronlab.nav.features import Detector, Features, detect_features
+from tronlab.nav.features import Detector, Features, Mask, detect_features
 
 MIN_LANDMARKS = 50
 """A database smaller than this cannot serve any shot."""
@@ -74,10 +74,11 @@ def interpolate_depth(depth_m: NDArray[np.float32], uv: FloatArray, *, step: flo
     """
     rows, columns = depth_m.shape
     corner = np.floor(uv).astype(np.intp)
-    is_inside = ((corner >= 0) & (corner < [columns - 1, rows - 1])).all(axis=1)
-    u, v = np.where(is_inside[:, None], corner, 0).T
+    is_inside = np.all((corner >= 0) & (corner < [columns - 1, rows - 1]), axis=1)
+    u, v = (np.where(is_inside, corner[:, axis], 0) for axis in (0, 1))
+    below, right = v + 1, u + 1
     fu, fv = (uv - corner).T
-    four = np.stack([depth_m[v, u], depth_m[v, u + 1], depth_m[v + 1, u], depth_m[v + 1, u + 1]])
+    four = np.stack([depth_m[v, u], depth_m[v, right], depth_m[below, u], depth_m[below, right]])
     four = four.astype(np.float64)
     weights = np.stack([(1 - fu) * (1 - fv), fu * (1 - fv), (1 - fu) * fv, fu * fv])
     depth = (weights * four).sum(axis=0)
@@ -88,7 +89,7 @@ def interpolate_depth(depth_m: NDArray[np.float32], uv: FloatArray, *, step: flo
 def _landmarks(
     view: ReferenceView, index: int, camera: CameraModel, detector: Detector
 ) -> Database:
-    is_usable = view.mask & np.isfinite(view.depth_m)
+    is_usable: Mask = view.mask & np.isfinite(view.depth_m)
     features = detect_features(view.image, is_usable, detector)
     depth_m = interpolate_depth(
         view.depth_m, features.uv, step=MAX_DEPTH_STEP_PX / max(camera.fx_px, camera.fy_px)

@@ -155,7 +155,7 @@ def spread_over_image(
 
 
 def _check(image: GreyImage, mask: Mask) -> None:
-    if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
+    if image.ndim != 2 or image.dtype.name not in {"uint8", "uint16"}:
         raise ImageError(
             f"image: {image.dtype} of shape {image.shape}, expected uint8 or uint16 (rows, columns)"
         )
@@ -194,7 +194,7 @@ def _detect(grey: NDArray[np.uint8], mask: Mask, detector: Detector) -> Features
 
 
 def _choose(
-    keypoints: Sequence[cv2.KeyPoint], clearance_px: NDArray[np.float32], detector: Detector
+    keypoints: Sequence[cv2.KeyPoint], clearance_px: NDArray[Any], detector: Detector
 ) -> tuple[list[cv2.KeyPoint], NDArray[np.intp]]:
     if not keypoints:
         return [], np.zeros(0, np.intp)

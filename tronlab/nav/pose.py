@@ -22,12 +22,14 @@ efficiency for Gaussian noise in two dimensions (Tukey's biweight)."""
 
 _RAYLEIGH_MEDIAN = 1.1774100225154747
 _MAX_ITERATIONS = 30
-_CONVERGED = 1e-10
+_CONVERGED = 1e-9
+_CONVERGED_ENOUGH = 1e-6
+"""Radians and metres: matches at the edge of having weight may come and go for ever."""
 _MIN_SIGMA_PX = 1e-6
 
 
 class NoPoseError(Exception):
-    """The matches do not lead to a pose; the text says why. It ends in a result, never with a user."""
+    """The matches do not lead to a pose; it becomes a result with this text as its reason."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +103,7 @@ def solve_ransac(
     """
     _need(len(matches), MIN_POINTS, "matches")
     try:
-        found, rotation_vector, translation, inliers = cv2.solvePnPRansac(
+        answer: Any = cv2.solvePnPRansac(
             matches.p_trs_m,
             matches.rays,
             np.eye(3),
@@ -113,6 +115,7 @@ def solve_ransac(
         )
     except cv2.error as error:
         raise NoPoseError(f"RANSAC failed: {_first_line(error)}") from error
+    found, rotation_vector, translation, inliers = answer
     if not found or inliers is None:
         raise NoPoseError(f"RANSAC: no pose that {MIN_POINTS} of {len(matches)} matches agree with")
     agrees = np.zeros(len(matches), np.bool_)
@@ -139,6 +142,7 @@ def refine_pose(
         NoPoseError: Too few matches agree, they do not determine the pose, or no convergence.
     """
     pose, gate = start, gate_px
+    step, sigma = np.full(6, np.inf), gate_px
     for _ in range(_MAX_ITERATIONS):
         residuals = residuals_px(pose, matches, camera) / matches.scale[:, None]
         length = np.linalg.norm(residuals, axis=1)
@@ -150,10 +154,10 @@ def refine_pose(
         step = _solve(jacobian, residuals, weights)
         pose = perturb(pose, step)
         if np.abs(step).max() < _CONVERGED:
-            return _estimate(pose, matches, camera, sigma=sigma)
-    if np.abs(step).max() < 1e-6:
-        return _estimate(pose, matches, camera, sigma=sigma)
-    raise NoPoseError(f"least squares did not converge in {_MAX_ITERATIONS} iterations")
+            break
+    if np.abs(step).max() > _CONVERGED_ENOUGH:
+        raise NoPoseError(f"least squares did not converge in {_MAX_ITERATIONS} iterations")
+    return _estimate(pose, matches, camera, sigma=sigma)
 
 
 def residuals_px(
@@ -243,9 +247,7 @@ def _tukey(relative: FloatArray) -> FloatArray:
     return np.where(relative < 1.0, (1.0 - np.minimum(relative, 1.0) ** 2) ** 2, 0.0)
 
 
-def _checked(
-    rotation_vector: Any, translation: Any, matches: Correspondences
-) -> RigidTransform:
+def _checked(rotation_vector: Any, translation: Any, matches: Correspondences) -> RigidTransform:
     """Turn OpenCV's ``cam_from_trs`` round, if it is a pose that sees its points."""
     vector = np.concatenate([np.ravel(rotation_vector), np.ravel(translation)]).astype(np.float64)
     if not np.isfinite(vector).all():

@@ -136,12 +136,10 @@ def _mean(summed, x, y, half_x, half_y):
         return 0.0
     left, right = x - half_x, x + half_x
     top, bottom = y - half_y, y + half_y
-    total = (
-        _integral(summed, right, bottom)
-        - _integral(summed, left, bottom)
-        - _integral(summed, right, top)
-        + _integral(summed, left, top)
-    )
+    lower = _integral(summed, right, bottom) - _integral(summed, left, bottom)
+    upper = _integral(summed, right, top) - _integral(summed, left, top)
+    # Large sums are subtracted: rounding must not make a black field less than black.
+    total = max(lower - upper, 0.0)
     return total / (4.0 * half_x * half_y)
 
 

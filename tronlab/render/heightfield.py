@@ -43,7 +43,8 @@ class HeightfieldRenderer:
         """Render image, depth and points; see ``Renderer``.
 
         Raises:
-            RenderError: An unknown photometric function, or not 1 or 4 rays.
+            RenderError: An unknown photometric function, not 1 or 4 rays, or a pose or lamp that is
+                not finite.
         """
         view = self._view(trs_from_cam, lamp, photometry)
         if rays_per_pixel not in {1, 4}:
@@ -102,6 +103,10 @@ class HeightfieldRenderer:
     ) -> raycast.View:
         if photometry not in _PHOTOMETRY:
             raise RenderError(f"photometry is {photometry!r}, must be one of {list(_PHOTOMETRY)}")
+        if not np.isfinite(trs_from_cam.as_matrix()).all():
+            raise RenderError(f"camera pose: is not finite: {trs_from_cam.as_matrix().tolist()}")
+        if not (np.isfinite(lamp.p_trs_m).all() and np.isfinite(lamp.intensity)):
+            raise RenderError(f"lamp: is not finite: {lamp}")
         rotation = trs_from_cam.rotation.as_matrix()
         return raycast.View(
             self._origin_trs_m,

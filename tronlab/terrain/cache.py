@@ -60,4 +60,4 @@ def save_heights(path: Path, height_m: NDArray[np.float32]) -> None:
 
 
 def _checksum(height_m: NDArray[np.float32]) -> bytes:
-    return zlib.crc32(np.ascontiguousarray(height_m)).to_bytes(_CHECKSUM_BYTES)
+    return zlib.crc32(np.ascontiguousarray(height_m).data).to_bytes(_CHECKSUM_BYTES)

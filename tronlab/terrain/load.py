@@ -37,7 +37,7 @@ def load_terrain(
     """
     announce = announce or logger.info
     if isinstance(config, ProceduralTerrain):
-        origin = {"generator": GENERATOR_VERSION}
+        origin: dict[str, int | str] = {"generator": GENERATOR_VERSION}
         height_m = _cached(config, origin, announce, lambda: make_terrain(config))
     else:
         path = _existing_file(config.path, base_dir)

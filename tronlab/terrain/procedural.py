@@ -4,6 +4,8 @@ Roughness and craters have their natural height; the hills are made as high as i
 relief asked for, so that slopes and shadows stay those of the Moon.
 """
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, optimize
@@ -62,15 +64,15 @@ def rough_surface(
     Geology and Geophysics, 1997), flat for waves longer than ``longest_wave_m``, and scaled
     so that over 10 mm along a row the root mean square slope is ``slope``.
     """
-    padded = tuple(fft.next_fast_len(n, real=True) for n in shape)
-    spectrum = fft.rfft2(rng.standard_normal(padded, dtype=np.float32), workers=n_cores())
+    padded = [int(fft.next_fast_len(n, real=True)) for n in shape]  # pyright: ignore
+    spectrum: Any = fft.rfft2(rng.standard_normal(padded, dtype=np.float32), workers=n_cores())
     kx = fft.fftfreq(padded[0], spacing_m).astype(np.float32)
     ky = fft.rfftfreq(padded[1], spacing_m).astype(np.float32)
     k_squared = kx[:, None] ** 2 + ky**2
     np.maximum(k_squared, np.float32(longest_wave_m**-2), out=k_squared)
     spectrum *= k_squared ** np.float32(-(hurst_exponent + 1) / 2)
     spectrum[0, 0] = 0.0
-    surface = fft.irfft2(spectrum, s=padded, workers=n_cores(), overwrite_x=True)
+    surface: Any = fft.irfft2(spectrum, s=padded, workers=n_cores(), overwrite_x=True)
     surface = np.ascontiguousarray(surface[: shape[0], : shape[1]])
     run = max(1, min(round(_SLOPE_BASE_M / spacing_m), shape[1] - 1))
     rise = surface[:, run:] - surface[:, :-run]
@@ -112,7 +114,8 @@ def add_hills(height_m: NDArray[np.float32], hill: NDArray[np.float32], relief_m
         return
     # Hills this high have the relief by themselves, and what they lie on adds at most its own.
     most = (relief_m + float(np.ptp(coarse))) / float(np.ptp(coarse_hill))
-    height_m += np.float32(optimize.brentq(lacking, 0.0, most)) * hill
+    factor: Any = optimize.brentq(lacking, 0.0, most)
+    height_m += np.float32(factor) * hill
 
 
 def scaled_to_relief(height_m: NDArray[np.float32], relief_m: float) -> NDArray[np.float32]:

@@ -2,9 +2,10 @@ from pathlib import Path
 
 import pytest
 
-from tronlab.campaign.config import load_campaign
+from tronlab.campaign.config import CampaignConfig, load_campaign
 from tronlab.errors import ConfigError
 from tronlab.trajectory.config import StraightLine
+from tronlab.yaml_models import parse_model
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 TEXT = """\
@@ -47,9 +48,6 @@ def test_comments_of_the_straight_line_show_the_defaults() -> None:
         line.replace("# ", "", 1) if _is_commented_key(line) else line for line in lines
     )
     assert uncommented.count("timeout_s") == 3
-    from tronlab.campaign.config import CampaignConfig
-    from tronlab.yaml_models import parse_model
-
     original = parse_model("\n".join(lines), CampaignConfig, path=path, overridden={"calibration"})
     assert original == parse_model(
         uncommented, CampaignConfig, path=path, overridden={"calibration"}
@@ -66,6 +64,11 @@ def _is_commented_key(line: str) -> bool:
         "max_shift_m",
         "max_turn_deg",
     }
+
+
+def test_missing_calibration_says_how_to_make_it(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"no such file: .*gone\.json; make it: tronlab"):
+        load(tmp_path, TEXT.replace("record.json", "gone.json"))
 
 
 @pytest.mark.parametrize(

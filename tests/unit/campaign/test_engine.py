@@ -1,8 +1,10 @@
+# pyright: reportPrivateUsage=false
 import threading
 from typing import Any
 
 import pytest
 
+from tronlab.campaign import engine
 from tronlab.campaign.engine import MAX_ATTEMPTS, RunListener, run_shots
 from tronlab.campaign.plan import Plan, Shot
 from tronlab.campaign.shot import ShotTaker
@@ -178,3 +180,44 @@ def test_runs_leave_no_thread_behind(taker: ShotTaker, plan: Plan) -> None:
     before = set(threading.enumerate())
     run_shots(plan, taker, commit=lambda record: None)
     assert {t for t in set(threading.enumerate()) - before if t.is_alive()} == set()
+
+
+def test_replayed_event_commits_its_shot_once(taker: ShotTaker, plan: Plan) -> None:
+    """An immediate pause may replay the messages of a shot whose event was already emitted."""
+    records: list[ShotRecord] = []
+    run = engine._Run(taker, commit=records.append, stop=StopRequest(), listener=RunListener())
+    for _ in range(2):
+        taker.begin(plan.shots[0], 1)
+        for step in (taker.move, taker.measure, taker.grab, taker.read):
+            step()
+        engine._put_into_mailbox(run)
+        run.take_document("event", {"data": {"shot_id": 1, "attempt": 1}})
+    assert [record.shot_id for record in records] == [1]
+    assert run.mailbox == {}
+
+
+def test_documents_hold_numbers_only(taker: ShotTaker, plan: Plan) -> None:
+    documents: list[tuple[str, dict[str, Any]]] = []
+    run = engine._Run(taker, commit=lambda record: None, stop=StopRequest(), listener=RunListener())
+    with engine._engine() as run_engine:
+        run_engine.subscribe(lambda name, document: documents.append((name, document)))
+        run_engine(engine._campaign(plan, run))
+    assert [name for name, _ in documents].count("event") == 4
+    start = documents[0][1]
+    assert (start["plan_sha256"], start["n_shots"]) == (plan.sha256, 4)
+    for name, document in documents:
+        if name == "event":
+            assert {"shot_id", "attempt", "range_los_m", "mean_grey"} <= set(document["data"])
+            assert all(isinstance(value, int | float) for value in document["data"].values())
+
+
+def test_status_tells_what_it_is() -> None:
+    status = engine._Status("camera")
+    assert repr(status) == "camera: pending"
+    status.finish(TrackingLostError("beam broken", device="tracker"))
+    status.finish()
+    assert repr(status) == "camera: TrackingLostError('tracker: beam broken')"
+    assert not status.success
+    heard: list[object] = []
+    status.add_callback(heard.append)
+    assert heard == [status]

@@ -198,9 +198,9 @@ def test_wherever_the_writing_stops_every_committed_shot_is_there(
     make_provenance: Callable[..., Provenance],
     make_view: Callable[[int], ReferenceView],
 ) -> None:
-    shots = [make_shot(i) for i in range(4)]
-    changes, n_changes = record_writes(monkeypatch, make_provenance(9), shots, [make_view(0)])
-    assert len(changes) > 4 * 20
+    shots = [make_shot(i) for i in range(3)]
+    changes, n_changes = record_writes(monkeypatch, make_provenance(6), shots, [make_view(0)])
+    assert len(changes) > 3 * 20
     content = bytearray()
     for k, (place, data) in enumerate(changes, start=1):
         apply_change(content, place, data)

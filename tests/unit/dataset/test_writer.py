@@ -181,18 +181,30 @@ def test_reference_views_are_stored_once(writer: DatasetWriter, make_view: MakeV
         writer.add_references([make_view(1)])
 
 
+@pytest.mark.parametrize(
+    ("error", "status", "reason"),
+    [
+        (RuntimeError("beam broken"), "failed", "RuntimeError: beam broken"),
+        (KeyboardInterrupt(), "aborted", "KeyboardInterrupt"),
+    ],
+)
 def test_an_exception_in_the_block_is_recorded_and_passed_on(
-    tmp_path: Path, make_provenance: MakeProvenance, make_shot: MakeShot
+    tmp_path: Path,
+    make_provenance: MakeProvenance,
+    make_shot: MakeShot,
+    error: BaseException,
+    status: str,
+    reason: str,
 ) -> None:
     def record() -> None:
         with DatasetWriter(tmp_path / "a.h5", make_provenance()) as writer:
             writer.commit(make_shot(0))
-            raise RuntimeError("beam broken")
+            raise error
 
-    with pytest.raises(RuntimeError, match="beam broken"):
+    with pytest.raises(type(error)):
         record()
     with Dataset(tmp_path / "a.h5") as dataset:
-        assert (dataset.status, dataset.reason) == ("failed", "RuntimeError: beam broken")
+        assert (dataset.status, dataset.reason) == (status, reason)
         assert dataset.n_shots == 1
 
 
@@ -203,6 +215,22 @@ def test_leaving_the_block_without_finish_leaves_it_running(
         writer.commit(make_shot(0))
     with Dataset(tmp_path / "a.h5") as dataset:
         assert (dataset.status, dataset.end_time, dataset.n_shots) == ("running", "", 1)
+
+
+class InterruptedSet(set[int]):
+    def add(self, element: int) -> None:
+        raise KeyboardInterrupt
+
+
+def test_ctrl_c_at_the_very_end_of_a_commit_leaves_a_consistent_file(
+    writer: DatasetWriter, make_shot: MakeShot
+) -> None:
+    writer.commit(make_shot(0))
+    writer._shot_ids = InterruptedSet(writer._shot_ids)
+    with pytest.raises(KeyboardInterrupt):
+        writer.commit(make_shot(1))
+    writer.finish("aborted", "operator")
+    assert committed_ids(writer.path) == [0, 1]
 
 
 def test_an_aborted_recording_gives_its_room_back(
@@ -254,7 +282,7 @@ def test_a_disk_too_small_for_the_plan_is_told_at_the_first_shot(
 def test_a_failing_reservation_leaves_a_readable_file(
     writer: DatasetWriter, make_view: MakeView, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tronlab.dataset.writer.os.truncate", _raise_no_space)
+    monkeypatch.setattr("tronlab.dataset.writer.os.ftruncate", _raise_no_space)
     with pytest.raises(DatasetError, match="reference views could not be written"):
         writer.add_references([make_view(0)])
     writer.finish("failed")

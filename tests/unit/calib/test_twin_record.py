@@ -1,0 +1,93 @@
+"""The committed record of the twin: made for the rig file as it is, and true."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from tronlab.calib.projection import intrinsics_of
+from tronlab.calib.record import CalibrationRecord
+from tronlab.campaign.rig import Rig, load_rig
+from tronlab.geometry.uncertainty import pose_difference
+from tronlab.twin.truth import TrueLaboratory, build_laboratory
+from tronlab.twin.world import World
+
+ROOT = Path(__file__).parents[3]
+REMAKE = "the twin's rig file changed: python calibration/calibrate_twin.py"
+
+
+@pytest.fixture(scope="module")
+def rig() -> Rig:
+    return load_rig(ROOT / "campaigns/rigs/twin.yaml")
+
+
+@pytest.fixture(scope="module")
+def record() -> CalibrationRecord:
+    return CalibrationRecord.load(ROOT / "calibration/records/twin.json")
+
+
+@pytest.fixture(scope="module")
+def truth(rig: Rig) -> TrueLaboratory:
+    assert rig.config.world is not None
+    return build_laboratory(rig.config.laboratory, rig.config.world)
+
+
+def nees(error: np.ndarray, covariance: np.ndarray) -> float:
+    return float(error @ np.linalg.solve(covariance, error))
+
+
+def test_it_is_for_the_rig_file_as_it_is(rig: Rig, record: CalibrationRecord) -> None:
+    record.check_rig(rig.name)
+    devices = rig.open_devices(0)
+    devices.tracker.connect()
+    assert record.devices["tmac"] == str(devices.tracker.identify_target()), REMAKE
+    assert record.devices["tracker"] == str(devices.tracker.identify()), REMAKE
+    serial = devices.tracker.identify().serial
+    assert serial in record.devices["camera"].split(), REMAKE
+
+
+def test_frame_hand_eye_and_camera_are_true(
+    record: CalibrationRecord, truth: TrueLaboratory
+) -> None:
+    frame = pose_difference(record.trs_from_trk, truth.trk_from_trs.inv())
+    assert nees(frame, record.trs_from_trk_covariance) < chi2.ppf(0.999, 6)
+    tmac_from_cam = truth.flange_from_tmac.inv() * truth.flange_from_cam
+    hand_eye = pose_difference(record.tmac_from_cam, tmac_from_cam)
+    assert nees(hand_eye, record.tmac_from_cam_covariance) < chi2.ppf(0.999, 6)
+    intrinsics = intrinsics_of(record.camera) - intrinsics_of(truth.camera)
+    assert nees(intrinsics, record.camera_covariance) < chi2.ppf(0.999, 9)
+
+
+def test_points_are_projected_where_they_are_seen(
+    record: CalibrationRecord, truth: TrueLaboratory
+) -> None:
+    rays = truth.camera.ray_table()
+    error_px = np.linalg.norm(record.camera.pixels(rays) - truth.camera.pixels(rays), axis=-1)
+    assert np.median(error_px) < 0.1
+    assert error_px.max() < 0.4
+
+
+def test_the_lamp_reflector_is_where_it_is(
+    record: CalibrationRecord, truth: TrueLaboratory
+) -> None:
+    error = record.p_lamp_trs_m - truth.p_targets_trs_m["lamp"]
+    assert nees(error, record.p_lamp_trs_covariance_m2) < chi2.ppf(0.999, 3)
+
+
+def test_the_pose_of_shots_is_true(rig: Rig, record: CalibrationRecord) -> None:
+    """Many shots share the errors of one record, so only single ones are held to chi-square."""
+    assert rig.config.world is not None
+    devices = rig.open_devices(seed=7)
+    world: World = devices.tracker._world
+    devices.tracker.connect()
+    position_errors_m, angles_rad = [], []
+    for _ in range(30):
+        reading = devices.tracker.measure_pose(window_s=1.0)
+        trs_from_cam, covariance = record.trs_from_cam(reading)
+        error = pose_difference(trs_from_cam, world.truth.trs_from_cam)
+        assert nees(error, covariance) < chi2.ppf(0.9999, 6)
+        position_errors_m.append(np.linalg.norm(error[3:]))
+        angles_rad.append(np.linalg.norm(error[:3]))
+    assert np.median(position_errors_m) < 0.3e-3
+    assert np.degrees(np.median(angles_rad)) < 0.015

@@ -1,0 +1,48 @@
+from pathlib import Path
+
+import pytest
+from pydantic import TypeAdapter, ValidationError
+
+from tronlab.terrain.config import FileTerrain, ProceduralTerrain, TerrainConfig
+
+
+def test_the_default_is_the_laboratorys_model():
+    config = ProceduralTerrain()
+    assert config.shape == (4401, 8401)
+    assert config.relief_m == pytest.approx(0.26)
+
+
+def test_kind_chooses_the_model():
+    adapter = TypeAdapter(TerrainConfig)
+    assert isinstance(adapter.validate_python({"kind": "procedural", "seed": 3}), ProceduralTerrain)
+    assert isinstance(adapter.validate_python({"kind": "file", "path": "a.png"}), FileTerrain)
+    with pytest.raises(ValidationError, match="'procedural', 'file'"):
+        adapter.validate_python({"kind": "mesh"})
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"spacing_m": 0.0001}, "22001 x 42001 samples are too many .*make spacing_m larger"),
+        ({"size_m": (0.05, 4.2), "spacing_m": 0.01}, "6 x 421 samples are too few"),
+        ({"size_m": (2.2, 0.0)}, "greater than or equal to 0.02"),
+        ({"size_m": (2.2,)}, "size_m"),
+        ({"relief_m": 0.0}, "greater than 0"),
+        ({"relief_m": float("nan")}, "finite number"),
+        ({"spacing_m": 1.0}, "less than or equal to 0.01"),
+        ({"seed": -1}, "greater than or equal to 0"),
+        ({"crater_largest_m": 0.005}, "crater_largest_m is 0.005, must be more than"),
+        ({"crater_density_per_m2": 0, "roughness_slope": 0}, "the terrain would be flat"),
+        ({"relief_mm": 260}, "Extra inputs are not permitted"),
+    ],
+)
+def test_what_cannot_be_is_refused(settings, message):
+    with pytest.raises(ValidationError, match=message):
+        ProceduralTerrain(**settings)
+
+
+def test_a_crop_has_four_numbers():
+    with pytest.raises(ValidationError, match="crop_px"):
+        FileTerrain(path=Path("a.png"), crop_px=(0, 0, 100))  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ValidationError, match="greater than or equal to 8"):
+        FileTerrain(path=Path("a.png"), crop_px=(0, 0, 100, 7))

@@ -1,0 +1,132 @@
+import logging
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tronlab.terrain import load
+from tronlab.terrain.config import FileTerrain, ProceduralTerrain
+from tronlab.terrain.heightmap import TerrainError
+from tronlab.terrain.load import load_terrain
+
+CONFIG = ProceduralTerrain(size_m=(0.1, 0.2), spacing_m=0.002, relief_m=0.02)
+
+
+@pytest.fixture(autouse=True)
+def cache_folder(tmp_path, monkeypatch) -> Path:
+    monkeypatch.setattr(
+        "tronlab.terrain.cache.platformdirs.user_cache_path", lambda name: tmp_path / "cache" / name
+    )
+    return tmp_path / "cache" / "tronlab" / "terrain"
+
+
+@pytest.fixture
+def announced():
+    return []
+
+
+def load_again(config=CONFIG, *, base_dir=Path(), announced=None):
+    return load_terrain(
+        config, base_dir=base_dir, announce=None if announced is None else announced.append
+    )
+
+
+def test_a_height_map_stands_where_it_is_told():
+    heightmap = load_again(CONFIG.model_copy(update={"origin_trs_m": (1.0, 2.0, 3.0)}))
+    assert heightmap.height_m.shape == (51, 101)
+    assert heightmap.size_m == pytest.approx((0.1, 0.2))
+    np.testing.assert_array_equal(heightmap.origin_trs_m, [1, 2, 3])
+
+
+def test_the_second_time_comes_from_the_cache(announced, cache_folder, monkeypatch):
+    first = load_again(announced=announced)
+    assert len(announced) == 1
+    assert "51 x 101 samples" in announced[0]
+    monkeypatch.setattr(load, "make_terrain", lambda _: pytest.fail("was made again"))
+    second = load_again(announced=announced)
+    np.testing.assert_array_equal(first.height_m, second.height_m)
+    assert len(announced) == 1
+    assert [path.suffix for path in cache_folder.iterdir()] == [".npy"]
+
+
+def test_another_place_needs_no_other_heights(announced):
+    load_again(announced=announced)
+    load_again(CONFIG.model_copy(update={"origin_trs_m": (0.0, 0.0, 0.0)}), announced=announced)
+    assert len(announced) == 1
+
+
+@pytest.mark.parametrize(
+    "change", [{"seed": 2}, {"relief_m": 0.03}, {"crater_exponent": 2.5}, {"spacing_m": 0.001}]
+)
+def test_other_settings_are_other_heights(announced, change):
+    first = load_again(announced=announced)
+    second = load_again(CONFIG.model_copy(update=change), announced=announced)
+    assert len(announced) == 2
+    assert not np.array_equal(first.height_m, second.height_m)
+
+
+def test_another_generator_makes_new_heights(announced, monkeypatch):
+    load_again(announced=announced)
+    monkeypatch.setattr(load, "GENERATOR_VERSION", 10_000)
+    load_again(announced=announced)
+    assert len(announced) == 2
+
+
+@pytest.mark.parametrize("damage", ["truncated", "empty", "a flipped bit", "another shape"])
+def test_a_damaged_cache_is_made_again(announced, cache_folder, damage, caplog):
+    first = load_again(announced=announced)
+    (path,) = cache_folder.iterdir()
+    content = bytearray(path.read_bytes())
+    if damage == "truncated":
+        path.write_bytes(content[: len(content) // 2])
+    elif damage == "empty":
+        path.write_bytes(b"")
+    elif damage == "a flipped bit":
+        content[5000] ^= 1
+        path.write_bytes(content)
+    else:
+        np.save(path, np.zeros((3, 3), np.float32))
+    second = load_again(announced=announced)
+    assert len(announced) == 2
+    assert "is made again" in caplog.text
+    np.testing.assert_array_equal(first.height_m, second.height_m)
+    load_again(announced=announced)
+    assert len(announced) == 2, "the cache was mended"
+
+
+def test_without_a_writable_cache_the_terrain_is_made_all_the_same(cache_folder, caplog):
+    cache_folder.parent.parent.mkdir()
+    cache_folder.parent.write_text("a file where the folder should be")
+    heightmap = load_again()
+    assert heightmap.relief_m == pytest.approx(0.02)
+    assert "the terrain is not cached" in caplog.text
+
+
+def test_by_default_the_log_is_told(caplog):
+    with caplog.at_level(logging.INFO, logger="tronlab.terrain.load"):
+        load_again()
+    assert "making the terrain model" in caplog.text
+
+
+def test_a_file_is_looked_for_beside_the_rig(tmp_path, announced):
+    samples = np.random.default_rng(1).random((20, 40)).cumsum(axis=0)
+    np.save(tmp_path / "map.npy", samples)
+    config = FileTerrain(path=Path("map.npy"), size_m=(0.1, 0.2), relief_m=0.02, spacing_m=0.002)
+    first = load_again(config, base_dir=tmp_path, announced=announced)
+    n_announced = len(announced)
+    load_again(config, base_dir=tmp_path, announced=announced)
+    assert len(announced) == n_announced
+    np.save(tmp_path / "map.npy", samples[::-1].copy())
+    other = load_again(config, base_dir=tmp_path, announced=announced)
+    assert not np.array_equal(first.height_m, other.height_m), "the file's content is in the key"
+
+
+def test_a_missing_file_says_where_it_was_looked_for(tmp_path):
+    config = FileTerrain(path=Path("maps/none.png"))
+    with pytest.raises(TerrainError, match=r"maps/none\.png does not exist; a relative path"):
+        load_again(config, base_dir=tmp_path)
+
+
+def test_a_folder_is_no_terrain_file(tmp_path):
+    with pytest.raises(TerrainError, match="does not exist"):
+        load_again(FileTerrain(path=tmp_path), base_dir=tmp_path)
