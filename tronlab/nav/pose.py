@@ -77,7 +77,7 @@ def solve_epnp(matches: Correspondences) -> RigidTransform:
     _need(len(matches), MIN_POINTS, "matches")
     try:
         found, rotation_vector, translation = cv2.solvePnP(
-            matches.p_trs_m, matches.rays, np.eye(3), None, flags=cv2.SOLVEPNP_EPNP
+            *_for_opencv(matches), np.eye(3), None, flags=cv2.SOLVEPNP_EPNP
         )
     except cv2.error as error:
         raise NoPoseError(f"EPnP failed: {_first_line(error)}") from error
@@ -104,8 +104,7 @@ def solve_ransac(
     _need(len(matches), MIN_POINTS, "matches")
     try:
         answer: Any = cv2.solvePnPRansac(
-            matches.p_trs_m,
-            matches.rays,
+            *_for_opencv(matches),
             np.eye(3),
             None,
             iterationsCount=RANSAC_ROUNDS,
@@ -257,6 +256,11 @@ def _checked(rotation_vector: Any, translation: Any, matches: Correspondences) -
     if n_behind:
         raise NoPoseError(f"the pose has {n_behind} of {len(matches)} points behind the camera")
     return cam_from_trs.inv()
+
+
+def _for_opencv(matches: Correspondences) -> tuple[FloatArray, FloatArray]:
+    """Give points and rays laid out row by row: OpenCV miscounts the points of other layouts."""
+    return np.ascontiguousarray(matches.p_trs_m), np.ascontiguousarray(matches.rays)
 
 
 def _need(n: int, n_min: int, what: str) -> None:

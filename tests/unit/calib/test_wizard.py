@@ -1,7 +1,7 @@
 """The wizard on the twin, with a quarter of the pixels and no terrain."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -118,6 +118,13 @@ def done(make_bench: Callable[..., Bench]) -> tuple[Bench, CalibrationRecord]:
     return bench, bench.calibrate()
 
 
+@pytest.fixture(scope="module")
+def measured(make_bench: Callable[..., Bench]) -> Measurements:
+    """Measured with the beam lost at the second station."""
+    fault = {"device": "tracker", "call": "measure_pose", "at": 2, "error": "tracking_lost"}
+    return make_bench(faults=[fault]).measure()
+
+
 def nees(error: np.ndarray, covariance: np.ndarray) -> float:
     return float(error @ np.linalg.solve(covariance, error))
 
@@ -164,22 +171,14 @@ def test_the_board_is_taken_away_afterwards(done: tuple[Bench, CalibrationRecord
     assert done[0].world.truth.trs_from_board is None
 
 
-def test_a_board_that_moved_is_noticed(make_bench: Callable[..., Bench]) -> None:
-    bench = make_bench()
-    measurements = bench.measure()
+def test_a_board_that_moved_is_noticed(measured: Measurements) -> None:
     shifted = [
         type(s)(
             s.reading, type(s.view)(s.view.ids, s.view.p_board_m, s.view.uv_px + 2.0 * (i > 12))
         )
-        for i, s in enumerate(measurements.stations)
+        for i, s in enumerate(measured.stations)
     ]
-    moved = Measurements(
-        laboratory=measurements.laboratory,
-        reflectors=measurements.reflectors,
-        lamp=measurements.lamp,
-        stations=tuple(shifted),
-        skipped=(),
-    )
+    moved = replace(measured, stations=tuple(shifted))
     with pytest.raises(CalibrationError, match="tracker and camera contradict each other"):
         solve_calibration(moved, rig_name="r", devices={}, software={})
 
@@ -195,11 +194,9 @@ def test_swapped_reflectors_show_before_anything_moves(make_bench: Callable[...,
     assert bench.world.robot_at is parked
 
 
-def test_a_lost_beam_costs_one_station(make_bench: Callable[..., Bench]) -> None:
-    fault = {"device": "tracker", "call": "measure_pose", "at": 2, "error": "tracking_lost"}
-    measurements = make_bench(faults=[fault]).measure()
-    assert len(measurements.stations) >= 20
-    assert [line.split(":")[0] for line in measurements.skipped] == ["pose 1"]
+def test_a_lost_beam_costs_one_station(measured: Measurements) -> None:
+    assert len(measured.stations) >= 20
+    assert [line.split(":")[0] for line in measured.skipped] == ["pose 1"]
 
 
 def test_the_board_is_taken_away_when_a_device_fails(make_bench: Callable[..., Bench]) -> None:

@@ -81,7 +81,7 @@ def test_least_squares_from_a_wrong_start_finds_an_exact_pose(rng: np.random.Gen
 
 
 def test_least_squares_reaches_the_bound_and_says_how_good_it_is(rng: np.random.Generator) -> None:
-    n_trials, sigma_px = 300, 0.5
+    n_trials, sigma_px = 200, 0.5
     errors, nees, said = [], [], []
     for _ in range(n_trials):
         matches = make_matches(rng, 100, sigma_px=sigma_px)
