@@ -5,6 +5,8 @@ BIN := .venv/bin
 OUT ?= out/demo
 # The tests that touch OpenCV run a second time with its older major version, laid over the first.
 OPENCV4 := .opencv4
+# The matrices here are small: threads of BLAS only get into each other's way.
+export OPENBLAS_NUM_THREADS := 1
 
 .PHONY: demo test lint types clean
 

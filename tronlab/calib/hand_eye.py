@@ -57,14 +57,7 @@ def solve_closed_form(
     turns_cam = np.array([motion.rotation.as_rotvec() for motion in motions_cam])
     _check_turns(turns_tmac)
     rotation = _align_directions(turns_tmac, turns_cam)
-    left = np.vstack([motion.rotation.as_matrix() - np.eye(3) for motion in motions_tmac])
-    right = np.concatenate(
-        [
-            rotation.apply(motion_cam.translation) - motion_tmac.translation
-            for motion_tmac, motion_cam in zip(motions_tmac, motions_cam, strict=True)
-        ]
-    )
-    translation = np.linalg.lstsq(left, right, rcond=None)[0]
+    translation = _solve_translation(motions_tmac, motions_cam, rotation)
     tmac_from_cam = RigidTransform.from_components(translation, rotation)
     boards = [
         tmac * tmac_from_cam * board
@@ -109,6 +102,22 @@ def _align_directions(a: FloatArray, b: FloatArray) -> Rotation:
     u, _, vt = np.linalg.svd(a.T @ b)
     handed = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
     return Rotation.from_matrix(u @ handed @ vt)
+
+
+def _solve_translation(
+    motions_tmac: Sequence[RigidTransform],
+    motions_cam: Sequence[RigidTransform],
+    rotation: Rotation,
+) -> FloatArray:
+    """Solve (R_A - I) t_X = R_X t_B - t_A over all motions in the least-squares sense."""
+    left = np.vstack([motion.rotation.as_matrix() - np.eye(3) for motion in motions_tmac])
+    right = np.concatenate(
+        [
+            rotation.apply(motion_cam.translation) - motion_tmac.translation
+            for motion_tmac, motion_cam in zip(motions_tmac, motions_cam, strict=True)
+        ]
+    )
+    return np.linalg.lstsq(left, right, rcond=None)[0]
 
 
 def _mean_pose(poses: Sequence[RigidTransform]) -> RigidTransform:

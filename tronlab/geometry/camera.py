@@ -151,7 +151,7 @@ def distort(xy: FloatArray, coefficients: tuple[float, ...]) -> FloatArray:
 
 
 def _undistort(target: FloatArray, coefficients: tuple[float, ...]) -> FloatArray:
-    if not any(coefficients):
+    if not any(coefficients) or not target.size:
         return target
     xy = target.copy()
     for _ in range(_NEWTON_STEPS):

@@ -25,8 +25,6 @@ from tronlab.nav.pose import Correspondences, NoPoseError, refine_pose, solve_ep
 ENTRY_POINT_GROUP = "tronlab.navigation_cores"
 BUILT_IN_CORES = ("akaze", "brisk", "akaze-refined", "brisk-refined")
 
-BEST_MAX_RATIO = 0.5
-"""Distance of a match, over that to its nearest rival, up to which it is among the best."""
 N_BEST = 1500
 """Most matches the paper's estimator trusts: more of them make EPnP steadier, the lesser ones
 bring in wrong ones, which it cannot stand."""
@@ -52,6 +50,7 @@ class LandmarkFinder:
     def __init__(self, detector: Detector, context: CoreContext) -> None:
         self.camera: CameraModel = context.camera
         self.database: Database = build_database(context.references, context.camera, detector)
+        self.trusted_ratio: float = detector.trusted_ratio
         self._detector = detector
         self._index = LandmarkIndex(self.database)
         self._last: tuple[bytes, Sighting] | None = None
@@ -71,7 +70,7 @@ class LandmarkFinder:
             uv,
             self.camera.rays(uv),
             self.database.p_trs_m[matches.landmark],
-            size_px / sighting.features.size_px.min(),
+            size_px / sighting.features.size_px.min(initial=np.inf),
         )
 
     def _sight(self, image: GreyImage, mask: Mask) -> Sighting:
@@ -130,7 +129,7 @@ def best_matches(sighting: Sighting, *, max_ratio: float, n_max: int) -> Matches
 def estimate_by_epnp(finder: LandmarkFinder, sighting: Sighting) -> NavigationResult:
     """Estimate as the paper does: EPnP on the most similar matches, all of them trusted."""
     best = finder.correspondences(
-        sighting, best_matches(sighting, max_ratio=BEST_MAX_RATIO, n_max=N_BEST)
+        sighting, best_matches(sighting, max_ratio=finder.trusted_ratio, n_max=N_BEST)
     )
     return NavigationResult("ok", solve_epnp(best), uv_inliers=best.uv)
 

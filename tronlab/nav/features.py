@@ -19,9 +19,9 @@ STRETCH_PERCENTILES = (0.5, 99.5)
 """Grey values of the usable area that become black and white: detection thresholds then mean the
 same for a bright and a dark exposure, and 12-bit images keep what they hold of contrast."""
 WINDOW_BORDER_PX = 32
-WINDOW_STEP_PX = 16
-"""The window around the usable area begins at a multiple of this, so that the octaves of a detector
-sample the image at the same pixels whatever the mask."""
+WINDOW_STEP_PX = 48
+"""The window around the usable area begins at a multiple of this, so that a detector samples its
+octaves (factors 2) and the layers between (BRISK: 1.5) at the same pixels whatever the mask."""
 
 
 class ImageError(TronlabError):
@@ -71,6 +71,9 @@ class Detector:
     """Most features kept of an image."""
     window_per_size: float
     """Radius of the descriptor's window over the size of the keypoint."""
+    trusted_ratio: float
+    """Distance of a match, over that to its nearest rival, up to which it is as good as never
+    wrong: BRISK's descriptors stand further apart than AKAZE's."""
     is_cheap_to_describe: bool
     """True if describing after detecting repeats no work, so that only the features kept are
     described."""
@@ -91,6 +94,7 @@ AKAZE = Detector(
     make=partial(_make, "AKAZE_create", threshold=0.001),
     n_max=2000,
     window_per_size=5.0,
+    trusted_ratio=0.45,
     is_cheap_to_describe=False,
 )
 BRISK = Detector(
@@ -98,6 +102,7 @@ BRISK = Detector(
     make=partial(_make, "BRISK_create", thresh=45),
     n_max=2000,
     window_per_size=0.85,
+    trusted_ratio=0.55,
     is_cheap_to_describe=True,
 )
 

@@ -14,7 +14,7 @@ N_NEIGHBOURS = 6
 """Nearest landmarks asked for; several are usually the same point in other reference views."""
 SAME_POINT_SIZES = 1.0
 """Two landmarks nearer to each other than this many of their sizes are one physical point."""
-PROMISING_RATIO = 0.55
+PROMISING_RATIO = 0.65
 N_PROMISING = 1500
 """The most promising matches of the approximate search, at most so many and with a ratio up to
 this, are searched again exactly: a rival that hashing missed would pass a wrong match for a good

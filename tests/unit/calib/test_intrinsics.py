@@ -104,11 +104,11 @@ def test_real_chessboard_views_give_the_known_focal_length() -> None:
         found, corners = cv2.findChessboardCorners(image, (9, 6))
         if found:
             stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 50, 1e-4)
-            corners = cv2.cornerSubPix(image, corners, (5, 5), (-1, -1), stop)
+            corners = cv2.cornerSubPix(image, corners, (11, 11), (-1, -1), stop)
             views.append(BoardView(np.arange(54), points, corners.reshape(-1, 2).astype(float)))
     nominal = CameraModel(
         width_px=640, height_px=480, fx_px=550.0, fy_px=550.0, cx_px=319.5, cy_px=239.5
     )
     solution = solve_intrinsics(views, nominal)
-    assert abs(solution.camera.fx_px - 535.9) < 1.5
-    assert solution.sigma_px < 0.4
+    assert abs(solution.camera.fx_px - 535.9) < 1.0
+    assert np.argmax(solution.view_rms_px) == 1  # left02 has a wrong corner

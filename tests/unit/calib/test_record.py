@@ -98,7 +98,7 @@ def test_the_shot_covariance_is_that_of_many_draws(record: CalibrationRecord) ->
         return perturb(pose, rng.multivariate_normal(np.zeros(6), cov))
 
     differences = []
-    for _ in range(4000):
+    for _ in range(1200):
         truth = (
             drawn(record.trs_from_trk, record.trs_from_trk_covariance)
             * drawn(reading.trk_from_tmac, reading.covariance)
@@ -108,7 +108,7 @@ def test_the_shot_covariance_is_that_of_many_draws(record: CalibrationRecord) ->
     scale = np.sqrt(np.diag(covariance))
     sampled = np.cov(np.array(differences).T)
     np.testing.assert_allclose(
-        sampled / np.outer(scale, scale), covariance / np.outer(scale, scale), atol=0.1
+        sampled / np.outer(scale, scale), covariance / np.outer(scale, scale), atol=0.15
     )
 
 
