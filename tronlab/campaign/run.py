@@ -205,6 +205,7 @@ def _record(
     with _writer(job, provenance, taker=taker, live=live) as writer:
         writer.add_references(views)
         with stopped_by_ctrl_c(stop, announce=live.announce):
+            devices.room.switch_lamp(on=True)
             run_shots(
                 job.plan,
                 taker,

@@ -102,7 +102,7 @@ BRISK = Detector(
     make=partial(_make, "BRISK_create", thresh=45),
     n_max=2000,
     window_per_size=0.85,
-    trusted_ratio=0.55,
+    trusted_ratio=0.45,
     is_cheap_to_describe=True,
 )
 

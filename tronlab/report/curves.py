@@ -6,14 +6,14 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, ScalarFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from tronlab.geometry.poses import FloatArray
 from tronlab.report.style import CoreStyle, new_figure, note, style_context
 
 N_RANGE_BINS = 10
-"""The median line has about one point for each of these parts of the range."""
+"""The median line has one point for each of these parts of the range."""
 SMALLEST_ERROR_PCT_LOS = 1e-6
 """Smaller errors, 10 nm at 1 m, are drawn here: a logarithmic axis has no place for zero."""
 ERROR_LABEL = "position error [% of LOS]"
@@ -68,8 +68,8 @@ def range_medians(range_m: FloatArray, error: FloatArray) -> tuple[FloatArray, F
     """
     if not range_m.size:
         return np.empty(0), np.empty(0)
-    edges = MaxNLocator(nbins=N_RANGE_BINS).tick_values(range_m.min(), range_m.max())
-    parts = np.digitize(range_m, edges)
+    edges = np.linspace(range_m.min(), range_m.max(), N_RANGE_BINS + 1)
+    parts = np.digitize(range_m, edges[1:-1])
     held = np.unique(parts)
     return (
         np.array([range_m[parts == part].mean() for part in held]),
@@ -145,7 +145,7 @@ def _finish(axes: Axes, *, is_empty: bool) -> None:
     axes.grid()
     if is_empty:
         note(axes, "no shot with a pose")
-    axes.legend(fontsize=8, loc="best")
+    axes.legend(fontsize=8, ncols=2, loc="lower left", bbox_to_anchor=(0.0, 1.0))
 
 
 def _log_axis(axes: Axes, which: str) -> None:
@@ -155,7 +155,5 @@ def _log_axis(axes: Axes, which: str) -> None:
     # Decades alone leave an axis of less than two decades with a single number on it.
     subs = (1.0, 2.0, 5.0) if high / max(low, 1e-300) < 300 else (1.0,)
     axis.set_major_locator(LogLocator(subs=subs))
-    formatter = ScalarFormatter()
-    formatter.set_scientific(False)
-    axis.set_major_formatter(formatter)
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())

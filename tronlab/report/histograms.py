@@ -19,9 +19,9 @@ N_BINS = 20
 def error_histograms(scores: pd.DataFrame, core: str) -> Figure:
     """Draw the error histograms of a core.
 
-    Top: norm of the position error, grey. Middle: position error along x, y, z of trs. Bottom: angle
-    between the true and the estimated camera axis x, y, z. Position errors are percent of the
-    line-of-sight range; the three panels of a row share their bins.
+    Top: norm of the position error, grey. Middle: position error along x, y, z of trs. Bottom:
+    angle between the true and the estimated camera axis x, y, z. Position errors are percent of
+    the line-of-sight range; the three panels of a row share their bins.
 
     Args:
         scores: Rows of ``scores.csv``, one a shot and core.
@@ -36,6 +36,8 @@ def error_histograms(scores: pd.DataFrame, core: str) -> Figure:
         norm = figure.add_subplot(grid[0, :])
         _draw_row([norm], [_values(solved["position_error_pct_los"])], [NORM_COLOUR])
         norm.set_xlabel("norm of position error [% of LOS]")
+        if len(solved):
+            norm.legend(fontsize=8, loc="upper right")
         middle = [figure.add_subplot(grid[1, i]) for i in range(3)]
         position = [position_error_pct_los(solved, axis) for axis in "xyz"]
         _draw_row(middle, position, list(AXIS_COLOURS.values()), is_signed=True)
@@ -43,8 +45,8 @@ def error_histograms(scores: pd.DataFrame, core: str) -> Figure:
         angle = [_values(solved[f"axis_error_{axis}_deg"]) for axis in "xyz"]
         _draw_row(bottom, angle, list(AXIS_COLOURS.values()))
         for axis, above, below in zip("xyz", middle, bottom, strict=True):
-            above.set_xlabel(f"position error along ${axis}_{{TRS}}$ [% of LOS]")
-            below.set_xlabel(f"angle error of camera axis ${axis}$ [deg]")
+            above.set_xlabel(f"error along {axis} of trs [% of LOS]")
+            below.set_xlabel(f"error of camera axis {axis} [deg]")
         for panel in (norm, middle[0], bottom[0]):
             panel.set_ylabel("shots")
     return figure
@@ -105,16 +107,20 @@ def _draw_histogram(panel: Axes, values: FloatArray, edges: FloatArray, colour: 
     if not values.size:
         note(panel, "no shot with a pose")
         return
-    panel.hist(values, bins=cast("list[float]", edges.tolist()), color=colour, edgecolor="white",
-               linewidth=0.4)
+    panel.hist(
+        values,
+        bins=cast("list[float]", edges.tolist()),
+        color=colour,
+        edgecolor="white",
+        linewidth=0.4,
+    )
     mean, median = float(np.mean(values)), float(np.median(values))
-    panel.axvline(mean, color="black", linewidth=1.1, label=f"mean {mean:.3g}")
-    panel.axvline(median, color="black", linewidth=1.1, linestyle=":", label=f"median {median:.3g}")
-    panel.set_title(f"n = {values.size}", loc="left", color="#444444", fontsize=8)
-    panel.margins(y=0.25)
-    panel.legend(fontsize=7, loc="upper right", handlelength=1.4)
+    panel.axvline(mean, color="black", linewidth=1.1, label="mean")
+    panel.axvline(median, color="black", linewidth=1.1, linestyle=":", label="median")
+    text = f"n = {values.size}, mean {mean:.2g}, median {median:.2g}"
+    panel.set_title(text, loc="left", color="#444444", fontsize=7.5)
 
 
 def _values(column: "pd.Series[float]") -> FloatArray:
-    values = column.to_numpy(dtype=np.float64)
+    values = np.asarray(column, dtype=np.float64)
     return values[np.isfinite(values)]

@@ -51,6 +51,7 @@ class Page:
     paper: Table
     paper_source: str
     statistics: Table
+    effort: Table
     cores: Sequence[CoreSection]
     curves: Sequence[PageFigure]
     pictures: Sequence[PageFigure]
@@ -59,7 +60,7 @@ class Page:
     worst_shots: Table
     provenance: Sequence[tuple[str, str]]
     documents: Mapping[str, str]
-    """Whole texts by name: campaign, rig and calibration."""
+    """Whole texts by name: campaign and rig."""
 
     @property
     def section_anchors(self) -> dict[str, str]:

@@ -1,7 +1,8 @@
 """Photographs of shots with what the navigation core saw in them."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -24,7 +25,6 @@ _BRIGHTEST_PERCENTILE = 99.5
 class ShotPicture:
     """What is drawn of one shot and core."""
 
-    shot_id: int
     image: NDArray[np.uint8] | NDArray[np.uint16]
     """Grey values, shape (rows, columns)."""
     mask: NDArray[np.bool_]
@@ -32,10 +32,6 @@ class ShotPicture:
     uv_inliers: FloatArray
     """Image positions the pose rests on, shape (n, 2), pixels."""
     caption: str
-
-
-PictureSource = Callable[[str, int], ShotPicture]
-"""Gives the picture of a core and a shot id."""
 
 
 def contact_sheet(pictures: Sequence[ShotPicture], title: str) -> Figure:
@@ -49,12 +45,21 @@ def contact_sheet(pictures: Sequence[ShotPicture], title: str) -> Figure:
     return figure
 
 
-def single_picture(picture: ShotPicture) -> Figure:
+def single_picture(picture: ShotPicture, title: str) -> Figure:
     """Draw one shot larger."""
     with style_context():
-        figure = new_figure(5.6, 5.9)
+        figure = new_figure(5.6, 6.1)
+        figure.suptitle(title, fontsize=10)
         _draw(figure.add_subplot(), picture, dot_size=3.0)
     return figure
+
+
+def shot_caption(row: "pd.Series[Any]") -> str:
+    """Say which shot it is, how far away, and how large its error; ``row`` is one of the scores."""
+    text = f"shot {row['shot_id']}, {row['range_los_m']:.2f} m"
+    if row["status"] != "ok":
+        return f"{text}, {row['status']}"
+    return f"{text}, error {row['position_error_pct_los']:.2g} % of LOS"
 
 
 def shots_over_range(rows: pd.DataFrame, n_shots: int = N_CONTACT_SHOTS) -> list[int]:

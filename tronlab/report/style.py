@@ -2,10 +2,11 @@
 
 import re
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, cast
 
 import matplotlib as mpl
 from matplotlib.axes import Axes
@@ -13,9 +14,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 NORM_COLOUR = "#7f7f7f"
-AXIS_COLOURS: Mapping[str, str] = MappingProxyType(
-    {"x": "#d62728", "y": "#2ca02c", "z": "#1f77b4"}
-)
+AXIS_COLOURS: Mapping[str, str] = MappingProxyType({"x": "#d62728", "y": "#2ca02c", "z": "#1f77b4"})
 """Red, green and blue for x, y and z, as in the paper; each panel names its axis as well."""
 
 _CORE_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
@@ -32,6 +31,8 @@ _RC: dict[str, Any] = {
     "grid.color": "#dddddd",
     "grid.linewidth": 0.6,
     "legend.frameon": False,
+    # A dollar sign in the name of a core is no formula.
+    "text.parse_math": False,
     "savefig.facecolor": "white",
     "pdf.fonttype": 42,
     "svg.hashsalt": "tronlab",
@@ -76,15 +77,15 @@ def _unique_slugs(cores: Sequence[str]) -> dict[str, str]:
 
 def new_figure(width_in: float, height_in: float) -> Figure:
     """Make an empty figure that no global state knows of."""
-    with mpl.rc_context(_RC):
+    with style_context():
         figure = Figure(figsize=(width_in, height_in), layout="constrained")
         FigureCanvasAgg(figure)
     return figure
 
 
-def style_context() -> Any:  # noqa: ANN401
+def style_context() -> AbstractContextManager[None]:
     """Give the context in which axes are made and figures saved."""
-    return mpl.rc_context(_RC)
+    return mpl.rc_context(cast("Any", _RC))
 
 
 def note(axes: Axes, text: str) -> None:
@@ -104,9 +105,14 @@ def save_chart(figure: Figure, folder: Path, stem: str) -> Path:
     return path
 
 
-def save_picture(figure: Figure, folder: Path, stem: str) -> Path:
-    """Save a figure that shows photographs as JPEG, a tenth of the size of a PNG."""
-    path = folder / f"{stem}.jpg"
+def save_picture(figure: Figure, folder: Path, stem: str, *, page_folder: Path) -> Path:
+    """Save a figure that shows photographs as PNG and PDF, and as JPEG for the page.
+
+    Returns:
+        The path of the JPEG, which is a tenth of the size of the PNG.
+    """
+    save_chart(figure, folder, stem)
+    path = page_folder / f"{stem}.jpg"
     with style_context():
         figure.savefig(path, dpi=PNG_DPI, pil_kwargs={"quality": 85, "optimize": True})
     return path

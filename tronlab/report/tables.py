@@ -1,4 +1,4 @@
-"""The report's tables, as values that CSV, LaTeX, HTML and the terminal are written from.
+"""The report's tables, as values that CSV, LaTeX and HTML are written from.
 
 A cell holds a number in the unit its column names; only the formatted forms round it.
 """
@@ -14,9 +14,10 @@ import pandas as pd
 
 from tronlab.geometry.poses import FloatArray
 from tronlab.report.paper import DATASET_0, PAPER_CORES
+from tronlab.score.statistics import statistics
 
 Cell: TypeAlias = str | int | float
-MISSING = "–"
+MISSING = "\N{EN DASH}"
 N_WORST = 5
 """Rows of the table of worst shots, a core."""
 
@@ -74,31 +75,36 @@ class Table:
 
 
 def statistics_table(scores: pd.DataFrame) -> Table:
-    """Give, for each core, the statistics of its errors, its counts and its times.
+    """Give, for each core, the statistics of its errors.
 
-    The statistics are over the shots with a pose; ``n_shots`` counts all.
+    They are over the shots with a pose; ``n_shots`` counts all.
     """
     columns = [Column("core", "core"), Column("n_shots", "shots"), Column("n_ok", "with pose")]
-    for name, heading in ((_POSITION, "position [% LOS]"), (_ROTATION, "rotation [deg]")):
-        columns += [Column(f"{name}_{s}", f"{heading} {s}", ".3g") for s in _STATISTICS]
-    columns += [Column(f"{name}_median", f"{name[2:]} median", ".0f") for name in _COUNTS]
-    columns += [Column(f"{name}_median", f"{name[5:-2]} [s] median", ".3g") for name in _TIMES]
+    for name, unit in ((_POSITION, "% LOS"), (_ROTATION, "deg")):
+        columns += [Column(f"{name}_{s}", f"{s} [{unit}]", ".3g") for s in _STATISTICS]
     rows = tuple(_statistics_row(core, rows) for core, rows in _by_core(scores))
-    return Table("statistics", "Errors of each navigation core", tuple(columns), rows)
+    caption = "Position error (% LOS) and rotation error (deg) of each core"
+    return Table("statistics", caption, tuple(columns), rows)
 
 
-def summary_table(scores: pd.DataFrame) -> Table:
-    """Give the columns of the statistics a terminal has room for."""
-    statistics = statistics_table(scores)
-    kept = ["core", "n_shots", "n_ok"]
-    kept += [f"{_POSITION}_{s}" for s in ("mean", "median", "p95", "max")]
-    kept += [f"{_ROTATION}_{s}" for s in ("mean", "max")]
-    at = [[column.name for column in statistics.columns].index(name) for name in kept]
+def effort_table(scores: pd.DataFrame) -> Table:
+    """Give, for each core, the medians over all shots of its counts and of the time of each stage.
+
+    Shots without a pose are among them: they took their time as well.
+    """
+    columns = (
+        Column("core", "core"),
+        *(Column(f"{name}_median", name[2:], ".0f") for name in _COUNTS),
+        *(Column(f"{name}_median", f"{name[5:-2]} [s]", ".3g") for name in _TIMES),
+    )
     return Table(
-        "summary",
-        statistics.caption,
-        tuple(statistics.columns[i] for i in at),
-        tuple(tuple(row[i] for i in at) for row in statistics.rows),
+        "effort",
+        "Features and time of each core, median over all shots",
+        columns,
+        tuple(
+            (core, *(_median(_finite(rows[name])) for name in (*_COUNTS, *_TIMES)))
+            for core, rows in _by_core(scores)
+        ),
     )
 
 
@@ -205,20 +211,6 @@ def to_latex(table: Table) -> str:
     return "\n".join(lines) + "\n"
 
 
-def to_text(table: Table) -> str:
-    """Write a table for the terminal, columns aligned, no trailing newline."""
-    cells = [table.headings, *table.formatted]
-    widths = [max(len(row[i]) for row in cells) for i in range(len(table.columns))]
-    lines = [
-        "  ".join(
-            cell.rjust(width) if number else cell.ljust(width)
-            for cell, width, number in zip(row, widths, table.is_number, strict=True)
-        ).rstrip()
-        for row in cells
-    ]
-    return "\n".join(lines)
-
-
 def escape_latex(text: str) -> str:
     """Make any text safe for LaTeX's text mode."""
     return "".join(_LATEX.get(character, character) for character in text)
@@ -254,22 +246,14 @@ def _statistics_row(core: str, rows: pd.DataFrame) -> tuple[Cell, ...]:
     solved = rows[rows["status"] == "ok"]
     row: list[Cell] = [core, len(rows), len(solved)]
     for name in (_POSITION, _ROTATION):
-        row += _statistics(_finite(solved[name]))
-    # Features and times are of every shot: a shot that found no pose took its time as well.
-    return (*row, *(_median(_finite(rows[name])) for name in (*_COUNTS, *_TIMES)))
+        of_metric = _statistics(solved[name])
+        row += [of_metric[s] for s in _STATISTICS]
+    return tuple(row)
 
 
-def _statistics(values: FloatArray) -> list[float]:
-    """Give mean, median, rms, 95th percentile and maximum; NaN without values."""
-    if not values.size:
-        return [np.nan] * len(_STATISTICS)
-    return [
-        float(np.mean(values)),
-        float(np.median(values)),
-        float(np.sqrt(np.mean(values**2))),
-        float(np.percentile(values, 95)),
-        float(np.max(values)),
-    ]
+def _statistics(values: "pd.Series[float]") -> dict[str, float]:
+    """Give the statistics of ``summary.json``, NaN where there are none."""
+    return {name: np.nan if value is None else value for name, value in statistics(values).items()}
 
 
 def _median(values: FloatArray) -> float:
@@ -278,18 +262,18 @@ def _median(values: FloatArray) -> float:
 
 def _paper_row(core: str, rows: pd.DataFrame) -> tuple[Cell, ...]:
     solved = rows[rows["status"] == "ok"]
-    mean, _, _, _, largest = _statistics(_finite(solved[_POSITION]))
+    error = _statistics(solved[_POSITION])
     is_within = (
         len(solved) == len(rows)
-        and mean < DATASET_0.mean_below_pct_los
-        and largest < DATASET_0.max_below_pct_los
+        and error["mean"] < DATASET_0.mean_below_pct_los
+        and error["max"] < DATASET_0.max_below_pct_los
     )
     return (
         core,
         len(rows),
         len(solved),
-        mean,
-        largest,
+        error["mean"],
+        error["max"],
         PAPER_CORES.get(core, MISSING),
         f"< {DATASET_0.mean_below_pct_los:g} %" if core in PAPER_CORES else MISSING,
         f"< {DATASET_0.max_below_pct_los:g} %" if core in PAPER_CORES else MISSING,
@@ -303,7 +287,7 @@ def _rows(frame: pd.DataFrame, columns: Sequence[Column]) -> list[tuple[Cell, ..
 
 
 def _finite(column: "pd.Series[float]") -> FloatArray:
-    values = column.to_numpy(dtype=np.float64)
+    values = np.asarray(column, dtype=np.float64)
     return values[np.isfinite(values)]
 
 

@@ -81,7 +81,7 @@ class World:
         self.faults = FaultScript(setup.config.faults)
         self.laboratory: TrueLaboratory = build_laboratory(self.spec, self.config)
         self.serial = serial_number(self.spec, self.config)
-        self.is_lamp_on = True
+        self.is_lamp_on = False
         self.robot_at = _parked(self.spec)
         self._trs_from_flange = self._flange(self.robot_at)
         self._trs_from_board: RigidTransform | None = None

@@ -16,7 +16,9 @@ def make_scores(
     range_m = np.linspace(4.0, 1.0, n_shots)
     tables = []
     for core, scale_pct in cores.items():
-        error_m = rng.normal(size=(n_shots, 3)) * [1.0, 1.0, 0.4] * (scale_pct / 170 * range_m)[:, None]
+        error_m = (
+            rng.normal(size=(n_shots, 3)) * [1.0, 1.0, 0.4] * (scale_pct / 170 * range_m)[:, None]
+        )
         norm_m = np.linalg.norm(error_m, axis=1)
         angle_deg = np.abs(rng.normal(size=(n_shots, 3))) * scale_pct * 0.4
         table = pd.DataFrame(

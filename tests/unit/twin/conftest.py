@@ -107,6 +107,7 @@ def bench(twin_rig, config: WorldConfig) -> Callable[..., Bench]:
         )
         renderer = UniformRenderer()
         world = World(setup, make_renderer=lambda _: renderer)
+        world.is_lamp_on = True
         shared: dict[str, object] = {WORLD_KEY: world}
         made = {
             kind: make_device(

@@ -145,6 +145,7 @@ def test_real_renderer_sees_a_lit_flat_model_on_black_cloth(spec, config, look_a
     surface = config.surface.model_copy(update={"photometry": "lambert", "rays_per_pixel": 1})
     config = config.model_copy(update={"surface": surface})
     world = World(WorldSetup(config, spec, lambda: flat))
+    world.is_lamp_on = True
     target = spec.mounting.robot_target(look_at(z_m=3.5))
     world.stand_robot(target, actual=target)
     image = world.radiance()
@@ -205,3 +206,7 @@ def test_twin_yaml_camera_is_nominally_upright_before_the_model(spec, look_at):
     np.testing.assert_allclose(base_from_cam.rotation.apply([0, 0, 1]), [1, 0, 0], atol=1e-9)
     cam_from_tmac = mounting.flange_from_cam.pose.inv() * mounting.flange_from_tmac.pose
     assert 0.15 < np.linalg.norm(cam_from_tmac.translation) < 0.20
+
+
+def test_the_room_is_dark_until_the_lamp_is_switched_on(setup):
+    assert not World(setup).is_lamp_on
