@@ -25,6 +25,7 @@ from tronlab.report.style import CoreStyle, core_styles, save_chart, save_pictur
 from tronlab.report.tables import (
     Table,
     cores_of,
+    effort_table,
     paper_table,
     shots_table,
     statistics_table,
@@ -111,7 +112,8 @@ def _make_page(job: _Job) -> Page:
     scores, reasons = job.results.scores, job.results.reasons
     paper, statistics = paper_table(scores), statistics_table(scores)
     worst_shots = worst_shots_table(scores, reasons)
-    for table in (paper, statistics, worst_shots):
+    effort = effort_table(scores)
+    for table in (paper, statistics, effort, worst_shots):
         _save_table(table, job.staging / "tables")
     recording = job.recording
     return Page(
@@ -119,6 +121,7 @@ def _make_page(job: _Job) -> Page:
         paper=paper,
         paper_source=SOURCE,
         statistics=statistics,
+        effort=effort,
         cores=[_core_section(job, core) for core in job.styles],
         curves=_curves(job),
         pictures=[] if recording.missing else _pictures(job),

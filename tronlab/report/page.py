@@ -60,7 +60,7 @@ class Page:
     worst_shots: Table
     provenance: Sequence[tuple[str, str]]
     documents: Mapping[str, str]
-    """Whole texts by name: campaign and rig."""
+    """Whole texts by name: campaign, rig and calibration."""
 
     @property
     def section_anchors(self) -> dict[str, str]:
@@ -71,6 +71,11 @@ class Page:
     def worst_anchors(self) -> dict[str, str]:
         """Get where the picture of each core's worst shot is."""
         return {picture.core: picture.anchor for picture in self.pictures if picture.core}
+
+    @property
+    def worst_links(self) -> dict[str, str]:
+        """Get where each core's name leads: to its worst shot, without pictures to their table."""
+        return {core.name: self.worst_anchors.get(core.name, "worst") for core in self.cores}
 
 
 def render_page(page: Page) -> str:

@@ -5,7 +5,7 @@ A cell holds a number in the unit its column names; only the formatted forms rou
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -17,6 +17,8 @@ from tronlab.report.paper import DATASET_0, PAPER_CORES
 from tronlab.score.statistics import statistics
 
 Cell: TypeAlias = str | int | float
+Reasons: TypeAlias = Mapping[tuple[str, int], str]
+"""Why a core gave no pose, by core and shot id."""
 MISSING = "\N{EN DASH}"
 N_WORST = 5
 """Rows of the table of worst shots, a core."""
@@ -129,7 +131,7 @@ def paper_table(scores: pd.DataFrame) -> Table:
     )
 
 
-def worst_shots_table(scores: pd.DataFrame) -> Table:
+def worst_shots_table(scores: pd.DataFrame, reasons: Reasons) -> Table:
     """Give the shots of each core without a pose and with the largest position errors, worst first.
 
     At most ``N_WORST`` a core.
@@ -144,16 +146,18 @@ def worst_shots_table(scores: pd.DataFrame) -> Table:
         Column(_ROTATION, "rotation [deg]", ".3g"),
         Column("n_matches", "matches"),
         Column("n_inliers", "inliers"),
+        Column("reason", "why no pose"),
     )
     rows: list[tuple[Cell, ...]] = []
     for _, of_core in _by_core(scores):
         shown = worst_first(of_core).head(N_WORST)
         shown = shown.assign(position_error_mm=1e3 * shown["position_error_m"])
+        shown = _with_reason(shown, reasons)
         rows += _rows(shown, columns)
     return Table("worst_shots", "Worst shots of each core", columns, tuple(rows))
 
 
-def shots_table(scores: pd.DataFrame, core: str) -> Table:
+def shots_table(scores: pd.DataFrame, core: str, reasons: Reasons) -> Table:
     """Give every shot of one core."""
     columns = (
         Column("shot_id", "shot"),
@@ -166,8 +170,9 @@ def shots_table(scores: pd.DataFrame, core: str) -> Table:
         Column(_ROTATION, "rotation [deg]", ".3g"),
         *(Column(name, name[2:]) for name in _COUNTS),
         *(Column(name, f"{name[5:-2]} [s]", ".3g") for name in _TIMES),
+        Column("reason", "why no pose"),
     )
-    rows = _rows(scores[scores["core"] == core], columns)
+    rows = _rows(_with_reason(scores[scores["core"] == core], reasons), columns)
     return Table("shots", f"Every shot of {core}", columns, tuple(rows))
 
 
@@ -279,6 +284,11 @@ def _paper_row(core: str, rows: pd.DataFrame) -> tuple[Cell, ...]:
         f"< {DATASET_0.max_below_pct_los:g} %" if core in PAPER_CORES else MISSING,
         "yes" if is_within else "no",
     )
+
+
+def _with_reason(rows: pd.DataFrame, reasons: Reasons) -> pd.DataFrame:
+    keys = zip(rows["core"].tolist(), rows["shot_id"].tolist(), strict=True)
+    return rows.assign(reason=[reasons.get(key, "") for key in keys])
 
 
 def _rows(frame: pd.DataFrame, columns: Sequence[Column]) -> list[tuple[Cell, ...]]:

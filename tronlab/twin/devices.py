@@ -1,5 +1,7 @@
 """The simulated laboratory's devices: each sees the one world through its Protocol, and no more."""
 
+from abc import ABC, abstractmethod
+
 import numpy as np
 from numpy.random import Generator
 
@@ -28,7 +30,7 @@ WORLD_KEY = "tronlab.twin.world"
 _FIRMWARE = "twin-1"
 
 
-class _View:
+class _View(ABC):
     """What all simulated devices have in common."""
 
     _kind: str
@@ -59,8 +61,8 @@ class _View:
         maker, model = self._maker_and_model()
         return self._identity(maker, model)
 
-    def _maker_and_model(self) -> tuple[str, str]:
-        raise NotImplementedError
+    @abstractmethod
+    def _maker_and_model(self) -> tuple[str, str]: ...
 
     def _identity(self, maker: str, model: str) -> DeviceIdentity:
         return DeviceIdentity(
