@@ -25,9 +25,6 @@ from tronlab.nav.pose import Correspondences, NoPoseError, refine_pose, solve_ep
 ENTRY_POINT_GROUP = "tronlab.navigation_cores"
 BUILT_IN_CORES = ("akaze", "brisk", "akaze-refined", "brisk-refined")
 
-N_BEST = 1500
-"""Most matches the paper's estimator trusts: more of them make EPnP steadier, the lesser ones
-bring in wrong ones, which it cannot stand."""
 RANSAC_MAX_RATIO = 0.8
 N_RANSAC = 500
 RANSAC_TOLERANCE_PX = 4.0
@@ -50,8 +47,7 @@ class LandmarkFinder:
     def __init__(self, detector: Detector, context: CoreContext) -> None:
         self.camera: CameraModel = context.camera
         self.database: Database = build_database(context.references, context.camera, detector)
-        self.trusted_ratio: float = detector.trusted_ratio
-        self._detector = detector
+        self.detector: Detector = detector
         self._index = LandmarkIndex(self.database)
         self._last: tuple[bytes, Sighting] | None = None
 
@@ -75,7 +71,7 @@ class LandmarkFinder:
 
     def _sight(self, image: GreyImage, mask: Mask) -> Sighting:
         start_s = perf_counter()
-        features = detect_features(image, mask, self._detector)
+        features = detect_features(image, mask, self.detector)
         detected_s = perf_counter()
         matches = self._index.match(features)
         return Sighting(features, matches, detected_s - start_s, perf_counter() - detected_s)
@@ -129,7 +125,10 @@ def best_matches(sighting: Sighting, *, max_ratio: float, n_max: int) -> Matches
 def estimate_by_epnp(finder: LandmarkFinder, sighting: Sighting) -> NavigationResult:
     """Estimate as the paper does: EPnP on the most similar matches, all of them trusted."""
     best = finder.correspondences(
-        sighting, best_matches(sighting, max_ratio=finder.trusted_ratio, n_max=N_BEST)
+        sighting,
+        best_matches(
+            sighting, max_ratio=finder.detector.trusted_ratio, n_max=finder.detector.n_trusted
+        ),
     )
     return NavigationResult("ok", solve_epnp(best), uv_inliers=best.uv)
 

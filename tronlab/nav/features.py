@@ -72,8 +72,11 @@ class Detector:
     window_per_size: float
     """Radius of the descriptor's window over the size of the keypoint."""
     trusted_ratio: float
-    """Distance of a match, over that to its nearest rival, up to which it is as good as never
-    wrong: BRISK's descriptors stand further apart than AKAZE's."""
+    """Distance of a match, over that to its nearest rival, up to which it is trusted
+    without a look at geometry."""
+    n_trusted: int
+    """Most matches trusted so: more of them make EPnP steadier, the lesser ones bring in wrong
+    ones, which it cannot stand."""
     is_cheap_to_describe: bool
     """True if describing after detecting repeats no work, so that only the features kept are
     described."""
@@ -95,14 +98,16 @@ AKAZE = Detector(
     n_max=2000,
     window_per_size=5.0,
     trusted_ratio=0.45,
+    n_trusted=1500,
     is_cheap_to_describe=False,
 )
 BRISK = Detector(
     name="brisk",
-    make=partial(_make, "BRISK_create", thresh=45),
-    n_max=2000,
+    make=partial(_make, "BRISK_create", thresh=30),
+    n_max=3000,
     window_per_size=0.85,
-    trusted_ratio=0.45,
+    trusted_ratio=0.5,
+    n_trusted=300,
     is_cheap_to_describe=True,
 )
 
