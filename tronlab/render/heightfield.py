@@ -1,7 +1,7 @@
 """The reference renderer: one ray at a time against the height map, a true shadow ray each."""
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
 from tronlab.geometry.camera import CameraModel
@@ -20,6 +20,8 @@ from tronlab.terrain.heightmap import HeightMap
 from tronlab.terrain.kernels import n_cores, run_interleaved
 
 _PHOTOMETRY = {"lambert": raycast.LAMBERT, "lunar_lambert": raycast.LUNAR_LAMBERT}
+_N_LAMPS = 2
+"""So many lamps' shadow tables are kept, each a sixteenth of the heights' memory."""
 
 
 class HeightfieldRenderer:
@@ -29,6 +31,7 @@ class HeightfieldRenderer:
         self._origin_trs_m = np.asarray(heightmap.origin_trs_m, dtype=np.float64)
         self._cells_per_m = np.array([1 / heightmap.spacing_m, 1 / heightmap.spacing_m, 1.0])
         self._n_threads = n_threads or n_cores()
+        self._shadow_reaches: dict[bytes, NDArray[np.float32]] = {}
         self._grid = make_grid(np.ascontiguousarray(heightmap.height_m), heightmap.spacing_m)
 
     def render(
@@ -55,26 +58,17 @@ class HeightfieldRenderer:
             points_trs_m=np.empty((*camera.shape, 3), dtype=np.float32),
             is_lit=np.empty(camera.shape, dtype=np.bool_),
         )
+        rays = centre_rays(camera)
+        subrays = subpixel_rays(camera) if rays_per_pixel == 4 else rays[None][:0]
         run_interleaved(
-            raycast.render_centres,
+            raycast.render_strips,
             self._grid,
             view,
-            centre_rays(camera),
-            rendering.radiance,
-            rendering.depth_m,
-            rendering.points_trs_m,
-            rendering.is_lit,
+            rays,
+            subrays,
+            (rendering.radiance, rendering.depth_m, rendering.points_trs_m, rendering.is_lit),
             n_threads=self._n_threads,
         )
-        if rays_per_pixel == 4:
-            run_interleaved(
-                raycast.render_subpixels,
-                self._grid,
-                view,
-                subpixel_rays(camera),
-                rendering.radiance,
-                n_threads=self._n_threads,
-            )
         return rendering
 
     def range_along_m(self, p_trs_m: ArrayLike, direction_trs: ArrayLike) -> float:
@@ -115,4 +109,16 @@ class HeightfieldRenderer:
             self._in_grid(lamp.p_trs_m),
             float(lamp.intensity),
             _PHOTOMETRY[photometry],
+            self._shadow_reach(lamp),
         )
+
+    def _shadow_reach(self, lamp: Lamp) -> NDArray[np.float32]:
+        """Give the lamp's table of shadow reaches, for the lamps used last: they seldom move."""
+        key = np.asarray(lamp.p_trs_m, dtype=np.float64).tobytes()
+        table = self._shadow_reaches.pop(key, None)
+        if table is None:
+            table = np.zeros(raycast.block_shape(self._grid), dtype=np.float32)
+        self._shadow_reaches[key] = table
+        while len(self._shadow_reaches) > _N_LAMPS:
+            del self._shadow_reaches[next(iter(self._shadow_reaches))]
+        return table

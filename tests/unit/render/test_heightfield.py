@@ -1,6 +1,7 @@
 """The renderer against theory: planes, steps, borders, and rays of every kind."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -133,6 +134,42 @@ def test_four_rays_are_the_mean_of_four_shifted_cameras(renderer, camera):
     np.testing.assert_array_equal(four.depth_m, one.depth_m)
     np.testing.assert_array_equal(four.points_trs_m, one.points_trs_m)
     np.testing.assert_array_equal(four.is_lit, one.is_lit)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_bundles_of_rays_find_what_single_rays_find(seed):
+    """On rough ground, from over the model and from aside, with lamps high and low and within."""
+    rng = np.random.default_rng(seed)
+    heights = rng.normal(scale=0.01, size=(75, 58)) + rng.normal(scale=0.02, size=(75, 1))
+    heightmap = replace(flat(), height_m=heights.astype(np.float32))
+    position = [0.185, 0.14, 0.3] + rng.normal(size=3) * [0.1, 0.08, 0.05]
+    pose = pose_along_boresight(position, boresight=rng.normal(size=3) - [0, 0, 3], right=(1, 1, 0))
+    lamp = Lamp([0.2, 0.1, 0.0] + rng.normal(size=3) * [0.4, 0.4, 0.3], 1.0)
+    narrow = CameraModel(43, 41, 45.0, 45.0, 21.0, 20.0)
+    fast = HeightfieldRenderer(heightmap)
+    plain: Any = HeightfieldRenderer(heightmap)
+    shape = raycast.block_shape(plain._grid)
+    plain._shadow_reaches[lamp.p_trs_m.tobytes()] = np.ones(shape, dtype=np.float32)
+    rendering = fast.render(narrow, pose, lamp, rays_per_pixel=4)
+    expected = plain.render(narrow, pose, lamp, rays_per_pixel=4)
+    np.testing.assert_array_equal(rendering.is_lit, expected.is_lit)
+    np.testing.assert_array_equal(rendering.radiance, expected.radiance)
+    directions = np.dstack([centre_rays(narrow), np.ones(narrow.shape)])
+    depth = [
+        fast.range_along_m(position, pose.rotation.apply(d)) / np.linalg.norm(d)
+        for d in directions.reshape(-1, 3)
+    ]
+    assert np.isfinite(depth).any()
+    np.testing.assert_allclose(rendering.depth_m.ravel(), depth, atol=1e-7)
+
+
+def test_a_moved_lamp_has_its_own_shadows(heightmap, renderer, camera):
+    lamps = [Lamp(np.array([x, 0.1, 0.12]), 1.0) for x in (-0.6, 0.9, -0.6, 0.2, 0.9)]
+    for lamp in lamps:
+        again = renderer.render(camera, DOWN, lamp)
+        once = HeightfieldRenderer(heightmap).render(camera, DOWN, lamp)
+        np.testing.assert_array_equal(again.radiance, once.radiance)
+        assert 0.05 < once.is_lit.mean() < 0.95
 
 
 def test_the_number_of_threads_changes_nothing(heightmap, camera):

@@ -1,0 +1,23 @@
+"""How the renderer's kernels are compiled."""
+
+from collections.abc import Callable
+from typing import Any
+
+from numba import njit
+
+# Without numba's counting of references: handing on a tuple of arrays would cost several atomic
+# operations an array and call, most of the time of a ray. So kernels cannot make arrays.
+_OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False}
+
+
+def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a function that makes no arrays; kept on disk like ``terrain.kernels.compiled``."""
+    try:
+        return njit(cache=True, **_OPTIONS)(function)
+    except RuntimeError:
+        return njit(**_OPTIONS)(function)
+
+
+def inlined(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a function into each kernel that calls it: that saves copying its arguments."""
+    return njit(forceinline=True, **_OPTIONS)(function)
