@@ -2,9 +2,9 @@
 
 import json
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -25,6 +25,7 @@ def demo(
 ) -> None:
     """Run, score and report campaigns/straight_line.yaml on the simulated laboratory."""
     from tronlab.campaign.live import open_live
+    from tronlab.cli.summary import summary_table
 
     campaign = find_campaign()
     out = free_folder(out, announce=lambda text: typer.echo(text, err=True))
@@ -64,26 +65,6 @@ def free_folder(out: Path, *, announce: Callable[[str], None]) -> Path:
     if folder != out:
         announce(f"{out} is in use and stays as it is; this run goes to {folder}")
     return folder
-
-
-def summary_table(summary: Mapping[str, Any]) -> str:
-    """Give the statistics of each core as text, beside what the paper claims."""
-    from tronlab.report.paper import DATASET_0
-
-    lines = [
-        "position error, % of line of sight     mean      max   solved",
-        *(_summary_row(core, statistics) for core, statistics in summary.items()),
-        f"{'the paper, AKAZE and BRISK':<34}"
-        f"{f'< {DATASET_0.mean_below_pct_los:g}':>9}{f'< {DATASET_0.max_below_pct_los:g}':>9}",
-    ]
-    return "\n".join(lines)
-
-
-def _summary_row(core: str, statistics: Mapping[str, Any]) -> str:
-    error = statistics["position_error_pct_los"]
-    mean, maximum = ("-" if error[key] is None else f"{error[key]:.3f}" for key in ("mean", "max"))
-    solved = f"{statistics['n_ok']}/{statistics['n_shots']}"
-    return f"{core:<34}{mean:>9}{maximum:>9}{solved:>9}"
 
 
 def _run_score_report(campaign: Path, out: Path, live: "Live") -> Path:

@@ -15,7 +15,7 @@ def report(
     ],
 ) -> None:
     """Make figures, tables and report.html from a folder of scores."""
-    from tronlab.cli.demo import summary_table
+    from tronlab.cli.summary import summary_table
     from tronlab.report.build import build_report
     from tronlab.score.results import load_results
 

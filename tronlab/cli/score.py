@@ -32,7 +32,7 @@ def score(
 ) -> None:
     """Score navigation cores against a recorded dataset."""
     from tronlab.campaign.live import open_live
-    from tronlab.cli.demo import summary_table
+    from tronlab.cli.summary import summary_table
     from tronlab.score.rescore import score_dataset
 
     try:

@@ -92,10 +92,10 @@ def _job(results: ScoreResults, staging: Path) -> _Job:
     cores = cores_of(scores)
     if not cores:
         raise ScoreError(f"{results.directory}: the scores are empty; run tronlab score again")
-    for name in ("figures", "tables", "page"):
+    for name in ("figures", "tables"):
         (staging / name).mkdir()
     worst = {core: int(worst_first(_of(scores, core))["shot_id"].iloc[0]) for core in cores}
-    sheet_core = _first_with_poses(scores, cores)
+    sheet_core = _best_core(scores, cores)
     sheet = tuple(shots_over_range(_of(scores, sheet_core)))
     return _Job(
         results=results,
@@ -166,14 +166,14 @@ def _curves(job: _Job) -> list[PageFigure]:
 
 
 def _pictures(job: _Job) -> list[PageFigure]:
-    figures, page = job.staging / "figures", job.staging / "page"
+    folder = job.staging / "figures"
     core = job.sheet_core
     sheet = contact_sheet(
         [_picture(job, core, shot_id) for shot_id in job.sheet], f"inliers of {core}"
     )
     shown = [
         PageFigure(
-            save_picture(sheet, figures, "contact_sheet", page_folder=page),
+            save_picture(sheet, folder, "contact_sheet"),
             alt=f"{len(job.sheet)} shots over the range with the inliers of {core}",
         )
     ]
@@ -182,7 +182,7 @@ def _pictures(job: _Job) -> list[PageFigure]:
         figure = single_picture(_picture(job, core, shot_id), f"worst shot of {core}")
         shown.append(
             PageFigure(
-                save_picture(figure, figures, f"worst_{slug}", page_folder=page),
+                save_picture(figure, folder, f"worst_{slug}"),
                 alt=f"Worst shot of {core}: shot {shot_id}",
                 anchor=f"worst-{slug}",
                 core=core,
@@ -231,8 +231,11 @@ def _put_in_place(staging: Path, directory: Path) -> None:
             path.unlink()
 
 
-def _first_with_poses(scores: pd.DataFrame, cores: list[str]) -> str:
-    return next((c for c in cores if (_of(scores, c)["status"] == "ok").any()), cores[0])
+def _best_core(scores: pd.DataFrame, cores: list[str]) -> str:
+    """Give the core with the smallest median error; the first one if none has a pose."""
+    solved = scores[scores["status"] == "ok"]
+    medians = solved.groupby("core", sort=False)["position_error_pct_los"].median().dropna()
+    return str(medians.idxmin()) if len(medians) else cores[0]
 
 
 def _of(scores: pd.DataFrame, core: str) -> pd.DataFrame:

@@ -1,7 +1,8 @@
 """Error histograms of one core, laid out as figures 8 and 9 of the paper."""
 
 from collections import Counter
-from typing import cast
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -14,6 +15,11 @@ from tronlab.report.style import AXIS_COLOURS, NORM_COLOUR, new_figure, note, st
 
 N_BINS = 20
 """About as many bins as a histogram gets; the edges are round numbers."""
+FENCE_MEDIANS = 8.0
+"""Errors beyond this many medians get no bins; of Gaussian errors that is one in ten million."""
+_ROUND_STEPS = [1, 2, 2.5, 5, 10]
+_MARGIN_BINS = 2
+"""Room, in bins, for the bar that counts gross errors; half a bin away from the others."""
 
 
 def error_histograms(scores: pd.DataFrame, core: str) -> Figure:
@@ -21,7 +27,8 @@ def error_histograms(scores: pd.DataFrame, core: str) -> Figure:
 
     Top: norm of the position error, grey. Middle: position error along x, y, z of trs. Bottom:
     angle between the true and the estimated camera axis x, y, z. Position errors are percent of
-    the line-of-sight range; the three panels of a row share their bins.
+    the line-of-sight range; the three panels of a row share their bins. Gross errors, which would
+    squeeze all others into one bin, are counted in one hatched bar at the edge.
 
     Args:
         scores: Rows of ``scores.csv``, one a shot and core.
@@ -34,9 +41,10 @@ def error_histograms(scores: pd.DataFrame, core: str) -> Figure:
         figure.suptitle(f"{core}: {pose_count_text(rows)}", fontsize=10)
         grid = figure.add_gridspec(3, 3)
         norm = figure.add_subplot(grid[0, :])
-        _draw_row([norm], [_values(solved["position_error_pct_los"])], [NORM_COLOUR])
+        errors = _values(solved["position_error_pct_los"])
+        _draw_row([norm], [errors], [NORM_COLOUR])
         norm.set_xlabel("norm of position error [% of LOS]")
-        if len(solved):
+        if errors.size:
             norm.legend(fontsize=8, loc="upper right")
         middle = [figure.add_subplot(grid[1, i]) for i in range(3)]
         position = [position_error_pct_los(solved, axis) for axis in "xyz"]
@@ -82,43 +90,75 @@ def bin_edges(values: FloatArray, *, is_signed: bool = False) -> FloatArray:
         low = 0.0
     if high <= low:
         high = low + 1.0
-    locator = MaxNLocator(nbins=N_BINS, steps=[1, 2, 2.5, 5, 10])
+    locator = MaxNLocator(nbins=N_BINS, steps=_ROUND_STEPS)
     edges = np.asarray(locator.tick_values(low, high), dtype=np.float64)
     step = float(edges[1] - edges[0])
     # A value on the last edge would share its bin with smaller ones; one more bin keeps it apart.
     return np.append(edges, edges[-1] + step) if edges[-1] <= high else edges
 
 
+def fence(panels: Sequence[FloatArray]) -> float:
+    """Give the magnitude beyond which an error is a gross one, in panels that share their bins.
+
+    It follows the panel that scatters most; infinite if most errors are zero or there are none.
+    """
+    medians = [float(np.median(np.abs(values))) for values in panels if values.size]
+    return FENCE_MEDIANS * max(medians, default=0.0) or np.inf
+
+
 def _draw_row(
     panels: list[Axes], values: list[FloatArray], colours: list[str], *, is_signed: bool = False
 ) -> None:
-    edges = bin_edges(np.concatenate(values), is_signed=is_signed)
+    pooled = np.concatenate(values)
+    edges = bin_edges(pooled[np.abs(pooled) <= fence(values)], is_signed=is_signed)
+    step = edges[1] - edges[0]
+    left = edges[0] - _MARGIN_BINS * step * bool((pooled < edges[0]).any())
+    right = edges[-1] + _MARGIN_BINS * step * bool((pooled > edges[-1]).any())
     for panel, panel_values, colour in zip(panels, values, colours, strict=True):
         _draw_histogram(panel, panel_values, edges, colour)
+        panel.set_xlim(left, right)
+        ticks = MaxNLocator(nbins=5, steps=_ROUND_STEPS).tick_values(edges[0], edges[-1])
+        panel.set_xticks(ticks[(ticks >= edges[0] - step / 9) & (ticks <= edges[-1] + step / 9)])
     tallest = max(panel.get_ylim()[1] for panel in panels)
     for panel in panels:
         panel.set_ylim(0.0, tallest)
+    for panel in panels[1:]:
+        panel.tick_params(labelleft=False)
 
 
 def _draw_histogram(panel: Axes, values: FloatArray, edges: FloatArray, colour: str) -> None:
-    panel.set_xlim(edges[0], edges[-1])
     panel.yaxis.set_major_locator(MaxNLocator(nbins=5, integer=True, min_n_ticks=2))
     panel.grid(axis="y")
     if not values.size:
         note(panel, "no shot with a pose")
         return
-    panel.hist(
-        values,
-        bins=cast("list[float]", edges.tolist()),
-        color=colour,
-        edgecolor="white",
-        linewidth=0.4,
-    )
+    look: dict[str, Any] = {"color": colour, "edgecolor": "white", "linewidth": 0.4}
+    counts, _ = np.histogram(values, edges)
+    panel.bar(edges[:-1], counts, np.diff(edges), align="edge", **look)
+    step = edges[1] - edges[0]
+    for at, n in (
+        (edges[0] - step, int((values < edges[0]).sum())),
+        (edges[-1] + step, int((values > edges[-1]).sum())),
+    ):
+        if n:
+            panel.bar(at, n, step, hatch="////", **look)
     mean, median = float(np.mean(values)), float(np.median(values))
-    panel.axvline(mean, color="black", linewidth=1.1, label="mean")
-    panel.axvline(median, color="black", linewidth=1.1, linestyle=":", label="median")
-    text = f"n = {values.size}, mean {mean:.2g}, median {median:.2g}"
+    for value, name, linestyle in ((mean, "mean", "-"), (median, "median", ":")):
+        # Beyond the bins there is no scale.
+        if edges[0] <= value <= edges[-1]:
+            panel.axvline(value, color="black", linewidth=1.1, linestyle=linestyle, label=name)
+    text = f"mean {mean:.2g}, median {median:.2g}\n{_count_text(values, edges)}"
     panel.set_title(text, loc="left", color="#444444", fontsize=7.5)
+
+
+def _count_text(values: FloatArray, edges: FloatArray) -> str:
+    n_outside = int(((values < edges[0]) | (values > edges[-1])).sum())
+    text = f"n = {values.size}"
+    if not n_outside:
+        return text
+    low, high = f"{edges[0]:.3g}", f"{edges[-1]:.3g}"
+    where = f"beyond {high}" if low == "0" else f"outside {low} to {high}"
+    return f"{text}, {n_outside} {where}"
 
 
 def _values(column: "pd.Series[float]") -> FloatArray:

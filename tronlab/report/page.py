@@ -1,6 +1,7 @@
 """The page: one HTML file that needs nothing beside itself."""
 
 import base64
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -87,4 +88,10 @@ def render_page(page: Page) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["keep_units_whole"] = _keep_units_whole
     return environment.get_template("report.html.j2").render(page=page)
+
+
+def _keep_units_whole(heading: str) -> str:
+    """Let no line end inside the unit of a heading."""
+    return re.sub(r"\[.*?\]", lambda unit: unit.group().replace(" ", "\N{NO-BREAK SPACE}"), heading)

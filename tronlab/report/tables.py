@@ -83,7 +83,8 @@ def statistics_table(scores: pd.DataFrame) -> Table:
     """
     columns = [Column("core", "core"), Column("n_shots", "shots"), Column("n_ok", "with pose")]
     for name, unit in ((_POSITION, "% LOS"), (_ROTATION, "deg")):
-        columns += [Column(f"{name}_{s}", f"{s} [{unit}]", ".3g") for s in _STATISTICS]
+        what = name.partition("_")[0]
+        columns += [Column(f"{name}_{s}", f"{what} {s} [{unit}]", ".3g") for s in _STATISTICS]
     rows = tuple(_statistics_row(core, rows) for core, rows in _by_core(scores))
     caption = "Position error (% LOS) and rotation error (deg) of each core"
     return Table("statistics", caption, tuple(columns), rows)

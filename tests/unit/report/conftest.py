@@ -1,10 +1,20 @@
 """Score tables as `tronlab score` writes them, with known errors."""
 
+import os
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.spatial.transform import RigidTransform
+
+from tronlab.dataset.reader import Dataset
+from tronlab.dataset.records import Truth
+from tronlab.nav.core import NavigationResult
+from tronlab.score.results import save_results
+from tronlab.score.shot import CoreScore
+from tronlab.score.table import score_row
 
 CORE_SCALES_PCT = {"akaze": 0.5, "brisk": 0.4, "akaze-refined": 0.03, "brisk-refined": 0.04}
 
@@ -65,3 +75,52 @@ def scores() -> pd.DataFrame:
 @pytest.fixture
 def scores_of() -> Callable[..., pd.DataFrame]:
     return make_scores
+
+
+@pytest.fixture
+def lose() -> Callable[..., None]:
+    """The function ``lose(scores, which, status)`` that takes poses away."""
+    return lose_poses
+
+
+ScoreDataset = Callable[..., Path]
+
+
+@pytest.fixture
+def score_by_hand(tmp_path: Path, small_dataset: Path) -> ScoreDataset:
+    """The factory ``score_by_hand({core: offset_m or None})``: a folder as scored.
+
+    A core misses every true position by its offset (m) along x of trs; None finds no pose.
+    """
+
+    def score(offsets_m: dict[str, float | None]) -> Path:
+        out_dir = tmp_path / "scored"
+        out_dir.mkdir(exist_ok=True)
+        with Dataset(small_dataset) as dataset:
+            scores = [
+                fake_score(core, shot_id, dataset.truth(i), offset_m)
+                for core, offset_m in offsets_m.items()
+                for i, shot_id in enumerate(dataset.shot_ids)
+            ]
+        info = {
+            "dataset": os.path.relpath(small_dataset, out_dir),
+            "cores": list(offsets_m),
+            "software": {"opencv": "5 <beta>"},
+            "scored_utc": "2026-11-22T04:00:00+00:00",
+        }
+        save_results(out_dir, scores, info)
+        return out_dir
+
+    return score
+
+
+def fake_score(core: str, shot_id: int, truth: Truth, offset_m: float | None) -> CoreScore:
+    if offset_m is None:
+        result = NavigationResult("no_pose", reason="too few <matches>", n_features=3)
+    else:
+        shift = RigidTransform.from_translation([offset_m * (1 + shot_id), 0.0, 0.0])
+        result = NavigationResult(
+            "ok", shift * truth.trs_from_cam, uv_inliers=np.array([[20.0, 12.0], [40.0, 30.0]])
+        )
+    row = score_row(core, int(shot_id), truth=truth, result=result)
+    return CoreScore(core, int(shot_id), row, result)

@@ -1,0 +1,28 @@
+"""The table of results that ``tronlab demo``, ``score`` and ``report`` print."""
+
+from collections.abc import Mapping
+from typing import Any
+
+
+def summary_table(summary: Mapping[str, Any]) -> str:
+    """Give the statistics of each core as text, beside what the paper claims.
+
+    Args:
+        summary: What ``summary.json`` holds: core name to its statistics.
+    """
+    from tronlab.report.paper import DATASET_0
+
+    lines = [
+        "position error, % of line of sight     mean      max   solved",
+        *(_summary_row(core, statistics) for core, statistics in summary.items()),
+        f"{'the paper, AKAZE and BRISK':<34}"
+        f"{f'< {DATASET_0.mean_below_pct_los:g}':>9}{f'< {DATASET_0.max_below_pct_los:g}':>9}",
+    ]
+    return "\n".join(lines)
+
+
+def _summary_row(core: str, statistics: Mapping[str, Any]) -> str:
+    error = statistics["position_error_pct_los"]
+    mean, maximum = ("-" if error[key] is None else f"{error[key]:.3f}" for key in ("mean", "max"))
+    solved = f"{statistics['n_ok']}/{statistics['n_shots']}"
+    return f"{core:<34}{mean:>9}{maximum:>9}{solved:>9}"
