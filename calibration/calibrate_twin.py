@@ -21,7 +21,10 @@ RECORD = Path("calibration/records/twin.json")
 SETTINGS = CalibrationSettings()
 
 rig = load_rig(RIG)
-with open_live(sys.stderr) as live, connected(rig.open_devices(seed=0)) as devices:
+with (
+    open_live(sys.stderr) as live,
+    connected(rig.open_devices(seed=0, session="calibration")) as devices,
+):
     record = calibrate(
         devices,
         rig.config.laboratory,

@@ -172,7 +172,7 @@ def _problem(
     elif kind == "union_tag_invalid":
         keys, line = _locate(root, (*keys, item["ctx"]["discriminator"].strip("'")))
     message = _MESSAGES.get(kind, _message_of_value)(item, _known_keys(schema, location[:-1]))
-    return ConfigError(message, path=path, line=line, key=_dotted(keys))
+    return ConfigError(message, path=path, line=line, key=dotted(keys))
 
 
 def _locate(root: CommentedMap, location: Location) -> tuple[Location, int | None]:
@@ -203,7 +203,8 @@ def _line(marks: dict[int | str, Any] | None, part: int | str, default: int | No
     return mark[0] + 1 if mark is not None else default
 
 
-def _dotted(keys: Location) -> str:
+def dotted(keys: Location) -> str:
+    """Give a location as people write it: a.b[0].c."""
     parts = [f"[{key}]" if isinstance(key, int) else f".{key}" for key in keys]
     return "".join(parts).lstrip(".")
 

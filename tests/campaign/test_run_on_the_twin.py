@@ -207,7 +207,7 @@ def test_more_views_than_poses_are_refused(
     campaign_path: Path, edit_yaml: EditYaml, tmp_path: Path
 ) -> None:
     edit_yaml(campaign_path, "database.n_views", 6)
-    with pytest.raises(PlanError, match="n_views is 6, but the trajectory has only 5 poses"):
+    with pytest.raises(ConfigError, match=r"campaign.yaml:\d+: database.n_views: .* only 5 poses"):
         run_campaign(campaign_path, out_dir=tmp_path / "out")
 
 

@@ -139,7 +139,7 @@ def _minimise(problem: _Problem, x: FloatArray) -> FloatArray:
                 return x + step / scale
             trial = x + step / scale
             trial_residuals = _residuals(problem, trial)
-            if trial_residuals @ trial_residuals < cost:  # false for NaN: a point behind the camera
+            if trial_residuals @ trial_residuals < cost:  # false for NaN
                 x, residuals, damping = trial, trial_residuals, damping / 10
                 break
             damping *= 10

@@ -49,9 +49,9 @@ class CalibrationRecord:
     tmac_from_cam_covariance: FloatArray
     """Of (rotation vector, translation) in tmac, shape (6, 6), rad and m."""
     p_lamp_trs_m: FloatArray
-    """Shape (3,)."""
+    """Centre of the reflector on the lamp's housing, shape (3,), taken for the light itself."""
     p_lamp_trs_covariance_m2: FloatArray
-    """Shape (3, 3)."""
+    """Of the reflector, shape (3, 3); how far the light is from it is not known, and not in it."""
     statistics: dict[str, Any]
     """How well the solution fits what was measured; plain values."""
     inputs: dict[str, Any]

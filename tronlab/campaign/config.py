@@ -5,11 +5,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field, ValidationInfo
+from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
+from tronlab.errors import ConfigError
 from tronlab.render.renderer import Photometry, RaysPerPixel
 from tronlab.trajectory.config import TrajectoryConfig
-from tronlab.yaml_models import ExistingFile, Model, existing_file, parse_model, read_text
+from tronlab.yaml_models import (
+    ExistingFile,
+    Model,
+    dotted,
+    existing_file,
+    line_of,
+    parse_model,
+    read_text,
+)
 
 
 def _calibration_file(value: Path, info: ValidationInfo) -> Path:
@@ -43,7 +52,13 @@ class CameraConfig(Model):
     pixel_format: Literal["Mono8", "Mono12"] = "Mono8"
     """Grey values of 8 or 12 bit."""
     timeout_s: Seconds = 10.0
-    """How long one image may take."""
+    """How long one image may take; more than the exposure."""
+
+    @model_validator(mode="after")
+    def _exposure_fits(self) -> "CameraConfig":
+        if self.exposure_s >= self.timeout_s:
+            raise ValueError(f"exposure_s {self.exposure_s:g} must be below timeout_s")
+        return self
 
 
 class SettleConfig(Model):
@@ -129,6 +144,11 @@ class Campaign:
     def name(self) -> str:
         """Get the name of the campaign."""
         return self.config.name
+
+    def error(self, message: str, *location: int | str) -> ConfigError:
+        """Make an error about a key of this file, with its line."""
+        line = line_of(self.text, location)
+        return ConfigError(message, path=self.path, line=line, key=dotted(location))
 
 
 def load_campaign(path: Path, *, overridden: AbstractSet[str] = frozenset()) -> Campaign:

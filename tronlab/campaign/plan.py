@@ -5,6 +5,7 @@ import json
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
@@ -17,6 +18,14 @@ from tronlab.geometry.poses import FloatArray
 
 _HASH_DECIMALS = 9
 """Poses are hashed to the nanometre, so that the last bits of a platform do not count."""
+
+
+class RangeFinder(Protocol):
+    """Measures distances to the terrain; the heightfield renderer does."""
+
+    def range_along_m(self, p_trs_m: FloatArray, direction_trs: FloatArray) -> float:
+        """Give the distance to the terrain along a direction, metres; NaN if it is missed."""
+        ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +107,31 @@ def check_reach(plan: Plan, robot: Robot) -> None:
                 ]
             )
         )
+
+
+def check_terrain_in_view(plan: Plan, range_finder: RangeFinder) -> None:
+    """See that every optical axis meets the terrain, before anything moves.
+
+    Raises:
+        PlanError: Every shot that looks past the model: errors are judged by its distance.
+    """
+    past = [
+        str(shot.shot_id)
+        for shot in plan.shots
+        if not np.isfinite(range_los_m(range_finder, shot.trs_from_cam_nominal))
+    ]
+    if past:
+        raise PlanError(
+            f"{len(past)} of {len(plan.shots)} shots look past the terrain model:"
+            f" {', '.join(past)}; the optical axis must meet it, for errors are percent of that"
+            " distance; change the trajectory of the campaign"
+        )
+
+
+def range_los_m(range_finder: RangeFinder, trs_from_cam: RigidTransform) -> float:
+    """Give the distance to the terrain along the optical axis; NaN if it is missed."""
+    boresight_trs = trs_from_cam.rotation.apply([0.0, 0.0, 1.0])
+    return range_finder.range_along_m(trs_from_cam.translation, boresight_trs)
 
 
 def database_indices(n_poses: int, *, n_views: int) -> tuple[int, ...]:

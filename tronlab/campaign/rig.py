@@ -77,12 +77,17 @@ class Rig:
         return load_terrain(self.config.terrain, base_dir=self.path.parent, announce=announce)
 
     def open_devices(
-        self, seed: int, *, load_heightmap: Callable[[], HeightMap] | None = None
+        self,
+        seed: int,
+        *,
+        session: str = "run",
+        load_heightmap: Callable[[], HeightMap] | None = None,
     ) -> Devices:
         """Make the devices, not yet connected.
 
         Args:
             seed: Seed of the measurement noise of simulated devices.
+            session: What they are opened for; see ``DeviceContext``.
             load_heightmap: Where simulated devices get the terrain; by default ``load_heightmap``.
 
         Raises:
@@ -95,7 +100,12 @@ class Rig:
         for kind in KINDS:
             config: DeviceConfig = getattr(self.config.devices, kind)
             context = DeviceContext(
-                name=kind, options=config.options, seed=seed, world=world, shared=shared
+                name=kind,
+                options=config.options,
+                seed=seed,
+                world=world,
+                session=session,
+                shared=shared,
             )
             try:
                 devices[kind] = make_device(config.driver, kind, context)

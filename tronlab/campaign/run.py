@@ -1,5 +1,6 @@
 """Run a campaign: from its YAML file to a recorded dataset."""
 
+import os
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -10,7 +11,13 @@ from tronlab.calib.record import CalibrationRecord
 from tronlab.campaign.config import Campaign, load_campaign
 from tronlab.campaign.engine import MAX_ATTEMPTS, RunListener, run_shots
 from tronlab.campaign.live import Live, SilentLive
-from tronlab.campaign.plan import Plan, check_reach, database_indices, make_plan
+from tronlab.campaign.plan import (
+    Plan,
+    check_reach,
+    check_terrain_in_view,
+    database_indices,
+    make_plan,
+)
 from tronlab.campaign.provenance import device_identities, software_versions
 from tronlab.campaign.reference import render_references
 from tronlab.campaign.rig import Rig, load_rig
@@ -19,7 +26,8 @@ from tronlab.campaign.stop import RunStoppedError, StopRequest, stopped_by_ctrl_
 from tronlab.dataset.records import Provenance, ReferenceView
 from tronlab.dataset.writer import DatasetWriter
 from tronlab.devices.registry import Devices, connected
-from tronlab.errors import CalibrationError, ConfigError, DatasetError
+from tronlab.errors import CalibrationError, ConfigError, DatasetError, PlanError
+from tronlab.nav.cores import known_cores
 from tronlab.render.heightfield import HeightfieldRenderer
 from tronlab.render.renderer import Lamp
 from tronlab.terrain.heightmap import HeightMap
@@ -125,18 +133,35 @@ def _read_job(
     plan = make_plan(
         camera_poses(campaign.config.trajectory), mounting=rig.config.laboratory.mounting
     )
+    _check_cores(campaign)
     return _Job(
         campaign=campaign,
         rig=rig,
         calibration=calibration,
         calibration_text=calibration_text,
         plan=plan,
-        reference_indices=database_indices(
-            len(plan.shots), n_views=campaign.config.database.n_views
-        ),
+        reference_indices=_reference_indices(campaign, len(plan.shots)),
         seed=campaign.config.seed if seed is None else seed,
         dataset_path=dataset_path,
     )
+
+
+def _check_cores(campaign: Campaign) -> None:
+    """Find a mistyped core before the recording, not when it shall be scored."""
+    known = known_cores()
+    for i, name in enumerate(campaign.config.score.cores):
+        if name not in known:
+            raise campaign.error(
+                f"no navigation core '{name}'; known cores: {', '.join(sorted(known))}",
+                "score", "cores", i,
+            )  # fmt: skip
+
+
+def _reference_indices(campaign: Campaign, n_poses: int) -> tuple[int, ...]:
+    try:
+        return database_indices(n_poses, n_views=campaign.config.database.n_views)
+    except PlanError as error:
+        raise campaign.error(str(error), "database", "n_views") from None
 
 
 def _new_dataset_path(out_dir: Path) -> Path:
@@ -145,6 +170,12 @@ def _new_dataset_path(out_dir: Path) -> Path:
     if out_dir.is_dir() and any(out_dir.iterdir()):
         raise ConfigError(
             f"--out {out_dir}: exists and is not empty, nothing is overwritten;"
+            " name another folder with --out"
+        )
+    nearest = next(path for path in (out_dir, *out_dir.absolute().parents) if path.exists())
+    if not (nearest.is_dir() and os.access(nearest, os.W_OK)):
+        raise ConfigError(
+            f"--out {out_dir}: cannot be made, {nearest} is no folder that can be written to;"
             " name another folder with --out"
         )
     return out_dir / DATASET_NAME
@@ -196,6 +227,7 @@ def _record(
 ) -> None:
     live.announce("renderer: preparing the terrain")
     renderer = HeightfieldRenderer(heightmap)
+    check_terrain_in_view(job.plan, renderer)
     views = _references(job, heightmap=heightmap, renderer=renderer, live=live)
     taker = ShotTaker(
         devices=devices,
@@ -218,7 +250,7 @@ def _record(
 def _references(
     job: _Job, *, heightmap: HeightMap, renderer: HeightfieldRenderer, live: Live
 ) -> tuple[ReferenceView, ...]:
-    live.announce("renderer: compiling, once after an installation")
+    live.announce("renderer: getting ready; its first use after an installation compiles")
     live.advance("reference views", n_done=0, n_all=len(job.reference_indices))
     return render_references(
         [job.plan.shots[i].trs_from_cam_nominal for i in job.reference_indices],
@@ -237,7 +269,10 @@ def _writer(
 ) -> Generator[DatasetWriter]:
     """Open the dataset; however the run ends, the file says how."""
     path, n_planned = job.dataset_path, len(job.plan.shots)
-    path.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"--out {path.parent}: cannot be made: {error.strerror}") from error
     with DatasetWriter(path, provenance) as writer:
 
         def so_far() -> str:

@@ -3,31 +3,23 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tronlab.calib.record import CalibrationRecord
 from tronlab.campaign.config import CampaignConfig, SettleConfig
-from tronlab.campaign.plan import Shot
+from tronlab.campaign.plan import RangeFinder, Shot, range_los_m
 from tronlab.dataset.records import ShotRecord, Truth
 from tronlab.devices.readings import Frame, PoseReading, RobotReading, RoomReading
 from tronlab.devices.registry import Devices
 from tronlab.errors import DeviceError, NotSettledError
-from tronlab.geometry.poses import FloatArray, rotation_angle_rad
+from tronlab.geometry.poses import rotation_angle_rad
 from tronlab.render.mask import model_mask
 from tronlab.terrain.heightmap import HeightMap
 
 T = TypeVar("T")
-
-
-class RangeFinder(Protocol):
-    """Measures distances to the terrain; the heightfield renderer does."""
-
-    def range_along_m(self, p_trs_m: FloatArray, direction_trs: FloatArray) -> float:
-        """Give the distance to the terrain along a direction, metres; NaN if it is missed."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -42,11 +34,10 @@ class TruthSource:
         """Give ground truth and mask of a shot from its raw T-MAC reading."""
         trs_from_cam, covariance = self.calibration.trs_from_cam(reading)
         mask = model_mask(self.heightmap, self.calibration.camera, trs_from_cam)
-        boresight_trs = trs_from_cam.rotation.apply([0.0, 0.0, 1.0])
         truth = Truth(
             trs_from_cam=trs_from_cam,
             covariance=covariance,
-            range_los_m=self.range_finder.range_along_m(trs_from_cam.translation, boresight_trs),
+            range_los_m=range_los_m(self.range_finder, trs_from_cam),
             usable_fraction=float(mask.mean()),
         )
         return truth, mask

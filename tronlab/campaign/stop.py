@@ -41,18 +41,25 @@ class StopRequest:
 
 @contextmanager
 def stopped_by_ctrl_c(stop: StopRequest, *, announce: Callable[[str], None]) -> Generator[None]:
-    """Let Ctrl-C ask a run to stop; outside the main thread, which gets no signals, do nothing."""
+    """Let Ctrl-C, and SIGTERM of a batch system, ask a run to stop.
+
+    Outside the main thread, which gets no signals, it does nothing.
+    """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
 
     def ask(_signal: int, _frame: object) -> None:
         stop.ask()
-        if not stop.is_at_once:
-            announce("stopping after this shot; Ctrl-C again stops at once")
+        announce(
+            "stopping at once"
+            if stop.is_at_once
+            else "stopping after this shot; Ctrl-C again stops at once"
+        )
 
-    before = signal.signal(signal.SIGINT, ask)
+    before = {kind: signal.signal(kind, ask) for kind in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for kind, handler in before.items():
+            signal.signal(kind, handler)

@@ -12,17 +12,16 @@ import typer
 from tronlab.cli.calibrate import calibrate
 from tronlab.cli.dataset import dataset
 from tronlab.cli.demo import demo
+from tronlab.cli.exit_codes import INTERRUPTED, USER_ERROR
 from tronlab.cli.report import report
 from tronlab.cli.run import run
 from tronlab.cli.score import score
 from tronlab.errors import TronlabError
 
-EXIT_USER_ERROR = 2
-EXIT_INTERRUPTED = 130
-
 app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
+    rich_markup_mode=None,
     pretty_exceptions_enable=False,
     help="Test campaigns for optical navigation: run, score and report.",
 )
@@ -53,12 +52,17 @@ def main() -> None:
         if others is not None or ours is None:
             raise
         _fail(ours.exceptions)
+    except SystemExit as end:
+        # typer turns Ctrl-C into its own Exit and leaves without a word
+        if isinstance(getattr(end.__context__, "__cause__", None), KeyboardInterrupt):
+            typer.echo("interrupted", err=True)
+        raise
     except KeyboardInterrupt:
         typer.echo("interrupted", err=True)
-        sys.exit(EXIT_INTERRUPTED)
+        sys.exit(INTERRUPTED)
 
 
 def _fail(errors: Sequence[BaseException]) -> None:
     for error in errors:
         typer.echo(f"error: {error}", err=True)
-    sys.exit(EXIT_USER_ERROR)
+    sys.exit(USER_ERROR)

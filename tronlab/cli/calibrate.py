@@ -65,7 +65,8 @@ def _measure_and_solve(rig: "Rig", seed: int) -> "CalibrationRecord":
     from tronlab.campaign.provenance import software_versions
     from tronlab.devices.registry import connected
 
-    with open_live(sys.stderr) as live, connected(rig.open_devices(seed)) as devices:
+    devices = rig.open_devices(seed, session="calibration")
+    with open_live(sys.stderr) as live, connected(devices):
         return calibrate(
             devices,
             rig.config.laboratory,
@@ -107,7 +108,7 @@ def _verdict(record: "CalibrationRecord") -> str:
         ),
         ("hand-eye tmac_from_cam", pose(record.tmac_from_cam_covariance)),
         ("frame trs_from_trk", pose(record.trs_from_trk_covariance)),
-        ("lamp", f"{lamp_m} m,  sigma {lamp_mm} mm"),
+        ("lamp, its reflector", f"{lamp_m} m,  sigma {lamp_mm} mm"),
         (
             "tracker against camera",
             f"chi-square {s['chi_square_poses']:.1f}, expected {s['dof_poses']:.1f}:"

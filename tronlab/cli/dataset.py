@@ -11,7 +11,9 @@ if TYPE_CHECKING:
 
 EXIT_FINDINGS = 1
 
-dataset = typer.Typer(no_args_is_help=True, help="Look into a recorded dataset, or check it.")
+dataset = typer.Typer(
+    no_args_is_help=True, rich_markup_mode=None, help="Look into a recorded dataset, or check it."
+)
 
 _PathArgument = Annotated[
     Path, typer.Argument(metavar="DATASET.h5", help="The recorded dataset.", show_default=False)

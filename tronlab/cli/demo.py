@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from tronlab.cli.exit_codes import INTERRUPTED
 from tronlab.errors import ConfigError
 
 if TYPE_CHECKING:
     from tronlab.campaign.live import Live
 
-EXIT_INTERRUPTED = 130
 DEMO_CAMPAIGN = Path("campaigns/straight_line.yaml")
 DEFAULT_OUT = Path("out/demo")
 
@@ -34,7 +34,7 @@ def demo(
             report = _run_score_report(campaign, out, live)
     except KeyboardInterrupt as interrupt:
         typer.echo(str(interrupt) or "interrupted", err=True)
-        raise typer.Exit(EXIT_INTERRUPTED) from None
+        raise typer.Exit(INTERRUPTED) from None
     typer.echo(summary_table(json.loads((out / "summary.json").read_text(encoding="utf-8"))))
     typer.echo(f"\nreport: {report}")
 

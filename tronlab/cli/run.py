@@ -6,6 +6,8 @@ from typing import Annotated
 
 import typer
 
+from tronlab.cli.exit_codes import INTERRUPTED
+
 
 def run(
     campaign: Annotated[Path, typer.Argument(metavar="CAMPAIGN.yaml", help="Campaign file.")],
@@ -46,5 +48,5 @@ def run(
             )
     except KeyboardInterrupt as interrupt:
         typer.echo(str(interrupt) or "interrupted: nothing was recorded", err=True)
-        raise typer.Exit(130) from None
+        raise typer.Exit(INTERRUPTED) from None
     typer.echo(path)

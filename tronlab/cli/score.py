@@ -1,13 +1,12 @@
 """The command ``tronlab score``."""
 
-import json
 import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-EXIT_INTERRUPTED = 130
+from tronlab.cli.exit_codes import INTERRUPTED
 
 
 def score(
@@ -32,8 +31,9 @@ def score(
 ) -> None:
     """Score navigation cores against a recorded dataset."""
     from tronlab.campaign.live import open_live
-    from tronlab.cli.summary import summary_table
+    from tronlab.cli.summary import missing_poses, summary_table
     from tronlab.score.rescore import score_dataset
+    from tronlab.score.results import load_results
 
     try:
         with open_live(sys.stderr) as live:
@@ -47,8 +47,8 @@ def score(
             )
     except KeyboardInterrupt as interrupt:
         typer.echo(str(interrupt) or "interrupted", err=True)
-        raise typer.Exit(EXIT_INTERRUPTED) from None
+        raise typer.Exit(INTERRUPTED) from None
     folder = out or dataset.parent
-    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-    typer.echo(summary_table(summary))
+    results = load_results(folder)
+    typer.echo("\n".join([summary_table(results.summary), *missing_poses(results)]))
     typer.echo(f"\nscores: {folder / 'scores.csv'}")

@@ -1,7 +1,10 @@
 """The table of results that ``tronlab demo``, ``score`` and ``report`` print."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from tronlab.score.results import ScoreResults
 
 
 def summary_table(summary: Mapping[str, Any]) -> str:
@@ -19,6 +22,23 @@ def summary_table(summary: Mapping[str, Any]) -> str:
         f"{f'< {DATASET_0.mean_below_pct_los:g}':>9}{f'< {DATASET_0.max_below_pct_los:g}':>9}",
     ]
     return "\n".join(lines)
+
+
+def missing_poses(results: "ScoreResults") -> list[str]:
+    """Give a line for each core that gave no pose for some shots: how many, and why the first."""
+    lines: list[str] = []
+    for core in results.summary:
+        rows = results.scores[results.scores["core"] == core]
+        missing = rows[rows["status"] != "ok"]
+        if len(missing):
+            shot_id, status = int(missing["shot_id"].iloc[0]), str(missing["status"].iloc[0])
+            reason = " ".join(results.reasons.get((core, shot_id), "").split())
+            why = f"{status}: {reason}" if reason else status
+            lines.append(
+                f"{core}: {len(missing)} of {len(rows)} shots without a pose;"
+                f" first: shot {shot_id}, {why}"
+            )
+    return lines
 
 
 def _summary_row(core: str, statistics: Mapping[str, Any]) -> str:

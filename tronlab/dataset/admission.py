@@ -20,7 +20,7 @@ def check_provenance(path: Path, provenance: Provenance) -> None:
     """Check that a dataset can be set up from a provenance.
 
     Raises:
-        DatasetError: No planned shots, a seed that does not fit 64 bit, or an unnamed device.
+        DatasetError: No planned shots, or a seed that does not fit 64 bit.
     """
     if provenance.n_shots_planned < 1:
         raise DatasetError(f"{path}: {provenance.n_shots_planned} shots planned, at least 1 needed")

@@ -69,7 +69,10 @@ def _damage(path: Path, error: Exception) -> str:
 
 
 def _check_schema(path: Path, file: h5py.File) -> None:
-    text = file.attrs.get(schema.SCHEMA_ATTRIBUTE)
+    try:
+        text = file.attrs.get(schema.SCHEMA_ATTRIBUTE)
+    except (OSError, RuntimeError, UnicodeDecodeError) as error:
+        raise IntegrityError(_damage(path, error)) from error
     if text is None:
         raise DatasetError(
             f"{path}: is an HDF5 file but not a tronlab dataset (no attribute"

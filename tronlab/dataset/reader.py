@@ -117,6 +117,13 @@ class Dataset:
         """Read the mask of shot ``i``, shape (rows, columns), and verify its checksum."""
         return self._stacked(schema.MASK, schema.MASK_CRC32, i).astype(np.bool_)
 
+    def pixel_format(self, i: int) -> str:
+        """Read how the grey values of shot ``i`` are coded, as ``Mono8``."""
+        path = f"{schema.CAMERA}/pixel_format"
+        i = self._checked(i)
+        where = f"shot {self.shot_ids[i]}: pixel_format"
+        return self._decoded(where, bytes(self._value(path, i)))
+
     def truth(self, i: int) -> Truth:
         """Read the ground truth of shot ``i``."""
         return self._truth(self._checked(i))
@@ -160,22 +167,28 @@ class Dataset:
         )
 
     def references(self) -> tuple[ReferenceView, ...]:
-        """Read the reference views; empty if there are none."""
-        if schema.REFERENCES not in self._file:
-            return ()
-        names = ("view_id", "trs_from_cam", "image", "depth_m", "mask")
-        columns = [self._read(f"{schema.REFERENCES}/{name}") for name in names]
-        return tuple(
-            ReferenceView(
-                view_id=int(view_id),
-                trs_from_cam=self._as_pose(f"{schema.REFERENCES}/trs_from_cam", row, xyz_quat),
-                image=image,
-                depth_m=depth_m,
-                mask=mask.astype(np.bool_),
+        """Read the reference views and verify their checksums; empty if there are none."""
+        return tuple(self.reference(i) for i in range(self.n_references))
+
+    def reference(self, i: int) -> ReferenceView:
+        """Read reference view ``i``, 0 to ``n_references - 1``, and verify its checksum."""
+        if not 0 <= i < self.n_references:
+            raise DatasetError(
+                f"{self.path}: no reference view with index {i}; there are {self.n_references}"
             )
-            for row, (view_id, xyz_quat, image, depth_m, mask) in enumerate(
-                zip(*columns, strict=True)
+        values = [self._value(f"{schema.REFERENCES}/{name}", i) for name in schema.REFERENCE_VALUES]
+        view_id, xyz_quat, image, depth_m, mask = values
+        if schema.checksum(values) != self._value(schema.REFERENCES_CRC32, i):
+            raise IntegrityError(
+                f"{self.path}: reference view {view_id} is damaged: its checksum does not match;"
+                " fetch the file again from its source"
             )
+        return ReferenceView(
+            view_id=int(view_id),
+            trs_from_cam=self._as_pose(f"{schema.REFERENCES}/trs_from_cam", i, xyz_quat),
+            image=image,
+            depth_m=depth_m,
+            mask=mask.astype(np.bool_),
         )
 
     def rows(self, path: str) -> NDArray[Any]:
@@ -195,7 +208,7 @@ class Dataset:
     def _frame(self, i: int) -> Frame:
         return Frame(
             image=self.image(i),
-            pixel_format=bytes(self._value(f"{schema.CAMERA}/pixel_format", i)).decode(),
+            pixel_format=self.pixel_format(i),
             exposure_s=float(self._value(f"{schema.CAMERA}/exposure_s", i)),
             gain_db=float(self._value(f"{schema.CAMERA}/gain_db", i)),
             frame_id=int(self._value(f"{schema.CAMERA}/frame_id", i)),
@@ -227,13 +240,15 @@ class Dataset:
 
     def _camera_model(self) -> CameraModel:
         path = f"{schema.CAMERA}/model"
-        values = {
-            name: value.tolist() if isinstance(value, np.ndarray) else value.item()
-            for name, value in self._attributes(path).items()
-        }
+        values: dict[str, Any] = {}
+        for name, value in self._attributes(path).items():
+            # Text of digits would pass for a number.
+            if not isinstance(value, np.generic | np.ndarray) or value.dtype.kind not in "iuf":
+                raise IntegrityError(f"{self.path}: {path}: {name} is {value!r}, not a number")
+            values[name] = value.tolist()
         try:
             return CameraModel.from_dict(values)
-        except CalibrationError as error:
+        except (CalibrationError, OverflowError) as error:
             raise IntegrityError(f"{self.path}: {path}: {error}") from error
 
     def _counted(self) -> int:
@@ -275,7 +290,15 @@ class Dataset:
 
     def _text(self, path: str) -> str:
         value = self._read(path)
-        return value.decode() if isinstance(value, bytes) else str(value)
+        return self._decoded(path, value) if isinstance(value, bytes) else str(value)
+
+    def _decoded(self, where: str, text: bytes) -> str:
+        try:
+            return text.decode()
+        except UnicodeDecodeError as error:
+            raise IntegrityError(
+                f"{self.path}: {where} is damaged: {text[:40]!r} is not text"
+            ) from error
 
     def _attributes(self, path: str) -> dict[str, Any]:
         attributes = dict(self._object(path).attrs)

@@ -38,6 +38,9 @@ MASK_CRC32: Final = f"{CAMERA}/mask_crc32"
 VALUES_CRC32: Final = "entry/shots/values_crc32"
 SHOT_ID: Final = "entry/shots/shot_id"
 REFERENCES: Final = "entry/references"
+REFERENCES_CRC32: Final = f"{REFERENCES}/crc32"
+REFERENCE_VALUES: Final = ("view_id", "trs_from_cam", "image", "depth_m", "mask")
+"""Everything of a reference view, in the order its checksum takes it."""
 
 POSE_UNITS: Final = ["m", "m", "m", "1", "1", "1", "1"]
 """Of the seven columns."""

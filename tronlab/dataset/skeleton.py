@@ -10,7 +10,7 @@ from typing import Any, cast
 
 import h5py
 import numpy as np
-from numpy.typing import DTypeLike
+from numpy.typing import DTypeLike, NDArray
 
 from tronlab import __version__
 from tronlab.dataset import schema
@@ -92,11 +92,17 @@ def create_references(file: h5py.File, views: tuple[ReferenceView, ...]) -> None
         "depth_m": ([v.depth_m for v in views], "<f4", "m"),
         "mask": ([v.mask for v in views], "u1", "1"),
     }
-    for name, (values, dtype, units) in stacks.items():
+    arrays: list[NDArray[Any]] = []
+    for name in schema.REFERENCE_VALUES:
+        values, dtype, units = stacks[name]
         array = np.asarray(values, dtype=dtype)
         chunks = (1, *array.shape[1:]) if array.ndim == 3 else None
         group.create_dataset(name, data=array, chunks=chunks).attrs["units"] = units
+        arrays.append(array)
     group["trs_from_cam"].attrs.update(schema.pose_attributes("trs", "cam"))
+    checksums = [schema.checksum(view) for view in zip(*arrays, strict=True)]
+    crc32 = file.create_dataset(schema.REFERENCES_CRC32, data=np.asarray(checksums, dtype="<u4"))
+    crc32.attrs.update({"units": "1", "order": list(schema.REFERENCE_VALUES)})
 
 
 def shrink_rows(file: h5py.File, n_rows: int) -> None:

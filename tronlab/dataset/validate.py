@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from tronlab.dataset import schema
 from tronlab.dataset.reader import Dataset
 from tronlab.dataset.records import ReferenceView
-from tronlab.errors import FrameError, IntegrityError
+from tronlab.errors import CalibrationError, FrameError, IntegrityError
+from tronlab.geometry.camera import CameraModel
 from tronlab.geometry.poses import (
     ROTATION_TOLERANCE,
     FloatArray,
@@ -31,7 +32,7 @@ def validate(path: Path) -> list[str]:
     """Check a dataset from its counter to the last pixel.
 
     Truth is recomputed from the raw tracker readings if the calibration record inside the dataset
-    holds ``trs_from_trk`` and ``tmac_from_cam``.
+    holds ``trs_from_trk`` and ``tmac_from_cam``; the camera model is compared with its ``camera``.
 
     Returns:
         What is wrong, one sentence each; empty if nothing is.
@@ -39,14 +40,15 @@ def validate(path: Path) -> list[str]:
     Raises:
         DatasetError: The file cannot be opened; see ``Dataset``.
     """
+    checks = (_ending, _shot_ids, _columns, _camera, _truth_chain, _shots, _references)
     findings: list[str] = []
     with Dataset(path) as dataset:
-        for check in (_ending, _shot_ids, _columns, _truth_chain, _shots, _references):
+        for check in checks:
             try:
                 findings += check(dataset)
             except IntegrityError as error:
                 findings.append(str(error).removeprefix(f"{path}: "))
-    return findings
+    return list(dict.fromkeys(findings))  # each view finds the same column missing
 
 
 def _ending(dataset: Dataset) -> Iterator[str]:
@@ -128,6 +130,20 @@ def _truth_chain(dataset: Dataset) -> Iterator[str]:
             )
 
 
+def _camera(dataset: Dataset) -> Iterator[str]:
+    record = _calibration(dataset.provenance.calibration_json)
+    try:
+        calibrated = CameraModel.from_dict(record["camera"]).to_dict()
+    except (KeyError, TypeError, OverflowError, CalibrationError):
+        return
+    for name, value in dataset.camera.to_dict().items():
+        if value != calibrated[name]:
+            yield (
+                f"{schema.CAMERA.removeprefix('entry/')}/model: {name} is {value},"
+                f" the calibration record says {calibrated[name]}"
+            )
+
+
 def _calibration(text: str) -> dict[str, Any]:
     try:
         record = json.loads(text)
@@ -139,7 +155,6 @@ def _calibration(text: str) -> dict[str, Any]:
 def _shots(dataset: Dataset) -> Iterator[str]:
     values = [dataset.rows(column.path) for column in schema.COLUMNS]
     checksums = dataset.rows(schema.VALUES_CRC32)
-    formats = dataset.rows(f"{schema.CAMERA}/pixel_format")
     fractions = dataset.rows(f"{schema.TRUTH}/usable_fraction")
     for i, shot_id in enumerate(dataset.shot_ids):
         # A slice keeps the stored type, an index would make a Python value of a text.
@@ -147,10 +162,11 @@ def _shots(dataset: Dataset) -> Iterator[str]:
             yield f"shot {shot_id}: the checksum of its values does not match"
         try:
             image, mask = dataset.image(i), dataset.mask(i)
+            pixel_format = dataset.pixel_format(i)
         except IntegrityError as error:
             yield str(error).removeprefix(f"{dataset.path}: ")
             continue
-        for finding in (*_image(image, mask, formats[i].decode()), *_mask(mask, fractions[i])):
+        for finding in (*_image(image, mask, pixel_format), *_mask(mask, fractions[i])):
             yield f"shot {shot_id}: {finding}"
 
 
@@ -175,13 +191,18 @@ def _mask(mask: NDArray[np.bool_], usable_fraction: float) -> Iterator[str]:
 
 
 def _references(dataset: Dataset) -> Iterator[str]:
-    views = dataset.references()
-    ids = [view.view_id for view in views]
-    if len(set(ids)) != len(ids):
-        yield "reference views: an id is there twice"
-    for view in views:
+    ids: list[int] = []
+    for i in range(dataset.n_references):
+        try:
+            view = dataset.reference(i)
+        except IntegrityError as error:
+            yield str(error).removeprefix(f"{dataset.path}: ")
+            continue
+        ids.append(view.view_id)
         for finding in _view(view, dataset.camera.shape):
             yield f"reference view {view.view_id}: {finding}"
+    if len(set(ids)) != len(ids):
+        yield "reference views: an id is there twice"
 
 
 def _view(view: ReferenceView, shape: tuple[int, int]) -> Iterator[str]:

@@ -36,9 +36,11 @@ class DeviceContext:
     options: Mapping[str, Any]
     """The device's own settings from the rig file."""
     seed: int
-    """Seed of every random number of this run; hardware ignores it."""
+    """Seed of every random number of this session; hardware ignores it."""
     world: object | None
     """Description of the simulated world, for devices that are views of it."""
+    session: str = "run"
+    """What the devices are opened for: sessions of one seed but another name have other noise."""
     shared: dict[str, object] = field(default_factory=dict[str, object])
     """One for all devices of a rig: simulated devices keep their common world here."""
 

@@ -1,8 +1,10 @@
 """The built-in navigation cores, and the way from a core's name to a core.
 
-``akaze`` and ``brisk`` are the paper's estimator (section 2.3): the most similar matches through
-EPnP. ``akaze-refined`` and ``brisk-refined`` take them through RANSAC, and all that agree through
-robust least squares. Cores with the same detector share its work: database, features, matches.
+``akaze`` and ``brisk`` are the paper's estimator (section 2.3): the best matches through EPnP, none
+of them questioned by geometry. Best is the least ambiguous here, not the smallest difference of
+descriptors: docs/decisions/0006 says why. ``akaze-refined`` and ``brisk-refined`` take them through
+RANSAC, and all that agree through robust least squares. Cores with the same detector share its
+work: database, features, matches.
 """
 
 import hashlib

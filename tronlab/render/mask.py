@@ -20,7 +20,7 @@ def model_mask(
         trs_from_cam: Where the camera is.
 
     Returns:
-        Shape (rows, columns); all False when the camera looks away.
+        Shape (rows, columns); all False when the camera looks away, or from behind.
     """
     rotation = trs_from_cam.rotation.as_matrix()
     eye = trs_from_cam.translation
@@ -28,7 +28,7 @@ def model_mask(
     direction_z = rays @ rotation[2, :2] + rotation[2, 2]
     with np.errstate(divide="ignore", invalid="ignore"):
         depth = (heightmap.mean_height_trs_m - eye[2]) / direction_z
-        seen = depth > 0
+        seen = (depth > 0) & (eye[2] > heightmap.mean_height_trs_m)
         for axis in (0, 1):
             direction = rays @ rotation[axis, :2] + rotation[axis, 2]
             place = eye[axis] + depth * direction - heightmap.origin_trs_m[axis]

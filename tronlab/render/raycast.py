@@ -514,7 +514,7 @@ def _is_in_shadow(grid, view, r, c, z):
     if normal_x * x + normal_y * y + normal_z * dz <= 0.0:
         return True
     t_end = _shadow_reach(grid, view, r, c)
-    return first_hit(grid, r, c, z, dr, dc, dz, t_end, _SHADOW_LEVEL) != -1.0
+    return first_hit(grid, r, c, z, dr, dc, dz, t_end, _SHADOW_LEVEL) != MISSED
 
 
 @inlined

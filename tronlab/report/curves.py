@@ -80,7 +80,7 @@ def range_medians(range_m: FloatArray, error: FloatArray) -> tuple[FloatArray, F
 def _draw_points(axes: Axes, rows: pd.DataFrame, core: str, style: CoreStyle) -> None:
     range_m = rows["range_los_m"].to_numpy(dtype=np.float64)
     error = _errors(rows)
-    has_error = _is_drawn(rows)
+    has_error = _is_drawn(rows) & np.isfinite(range_m)
     axes.plot(
         range_m[has_error],
         error[has_error],

@@ -3,7 +3,7 @@
 import hashlib
 import json
 import os
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +19,7 @@ from tronlab.geometry.poses import FloatArray, xyz_quat_from_pose
 from tronlab.score.shot import CoreScore
 from tronlab.score.statistics import Summary, summarise
 from tronlab.score.table import COLUMNS, score_table
+from tronlab.score.workers import interrupts_held
 
 SCORES = "scores.csv"
 SUMMARY = "summary.json"
@@ -46,6 +47,8 @@ class ScoreResults:
     """When, ISO 8601."""
     reasons: Mapping[tuple[str, int], str]
     """Why a core gave no pose, by core and shot id."""
+    kept: Mapping[str, Mapping[str, Any]]
+    """``scored_utc`` and ``software`` of each core that an earlier scoring left here."""
 
     def uv_inliers(self, core: str, shot_id: int) -> FloatArray:
         """Read the image positions a pose rests on, shape (n, 2), pixels; empty without a pose."""
@@ -55,40 +58,60 @@ class ScoreResults:
 
 
 def save_results(
-    directory: Path, scores: Sequence[CoreScore], info: Mapping[str, Any]
+    directory: Path,
+    scores: Sequence[CoreScore],
+    info: Mapping[str, Any],
+    *,
+    earlier: ScoreResults | None = None,
 ) -> pd.DataFrame:
     """Write the files of a scoring beside the old ones, then put them in place.
 
     Args:
         directory: Where to; it exists.
         scores: In the order of the table.
-        info: What ``score.json`` shall say.
+        info: What ``score.json`` shall say; its ``cores`` are those of ``scores``.
+        earlier: Results in ``directory`` whose cores stay, but for those in ``scores``.
 
     Returns:
-        The table of scores.
+        The table of scores: cores of ``earlier`` in their places, then the new ones.
 
     Raises:
         ScoreError: They cannot be written; the old files are as they were.
     """
-    table = score_table(score.row for score in scores)
+    kept = kept_cores(earlier, info["cores"])
+    table = _merged(score_table(score.row for score in scores), earlier)
+    info = {**info, "cores": _core_names(table), "kept": _origins(earlier, kept)}
     try:
         with TemporaryDirectory(prefix=".score-", dir=directory) as staging:
             folder = Path(staging)
             table.to_csv(folder / SCORES, index=False)
             _write_json(folder / SUMMARY, summarise(table))
             _write_matches(folder / MATCHES, scores)
+            if kept:
+                _copy_matches(directory / MATCHES, folder / MATCHES, kept)
             names = (SCORES, SUMMARY, MATCHES)
             _write_json(folder / INFO, {**info, "sha256": {n: _sha256(folder / n) for n in names}})
-            for name in (*names, INFO):
-                os.replace(folder / name, directory / name)
+            with interrupts_held():
+                for name in (*names, INFO):
+                    os.replace(folder / name, directory / name)
         (directory / PARTIAL_SCORES).unlink(missing_ok=True)
     except OSError as error:
         raise ScoreError(f"{directory}: the scores cannot be written: {error}") from error
     return table
 
 
+def kept_cores(earlier: ScoreResults | None, scored: Sequence[str]) -> tuple[str, ...]:
+    """Give the cores of an earlier scoring that are not scored anew, in their order."""
+    names = () if earlier is None else _core_names(earlier.scores)
+    return tuple(name for name in names if name not in scored)
+
+
 def save_partial(directory: Path, scores: Sequence[CoreScore]) -> Path:
-    """Write the rows of a scoring that was cut short to a file of their own."""
+    """Write the rows of a scoring that was cut short to a file of their own.
+
+    Raises:
+        OSError: They cannot be written.
+    """
     path = directory / PARTIAL_SCORES
     with TemporaryDirectory(prefix=".score-", dir=directory) as staging:
         written = Path(staging) / PARTIAL_SCORES
@@ -104,8 +127,10 @@ def load_results(directory: Path) -> ScoreResults:
         ScoreError: There are none, they are damaged, or they are not of one scoring.
     """
     if not (directory / SCORES).is_file():
+        partial = f", only {PARTIAL_SCORES} of a scoring that was cut short"
+        only = partial if (directory / PARTIAL_SCORES).is_file() else ""
         raise ScoreError(
-            f"{directory}: no {SCORES} there; make it with: tronlab score DATASET.h5 --out"
+            f"{directory}: no {SCORES} there{only}; make it with: tronlab score DATASET.h5 --out"
             f" {directory}"
         )
     info = _read_json(directory / INFO)
@@ -125,6 +150,7 @@ def load_results(directory: Path) -> ScoreResults:
             software=info["software"],
             scored_utc=info["scored_utc"],
             reasons=_reasons(directory),
+            kept=info.get("kept", {}),
         )
     except KeyError as error:
         raise ScoreError(
@@ -132,9 +158,106 @@ def load_results(directory: Path) -> ScoreResults:
         ) from error
 
 
+def earlier_results(
+    directory: Path,
+    *,
+    dataset_path: Path,
+    cores: Sequence[str],
+    range_los_m: Mapping[int, float],
+    say: Callable[[str], None],
+) -> ScoreResults | None:
+    """Read what an earlier scoring of the same dataset left in a folder.
+
+    Args:
+        directory: The folder.
+        dataset_path: The dataset that is scored now.
+        cores: Those it is scored with.
+        range_los_m: Line of sight of each of its shots, by shot id.
+        say: Told if the results are damaged, which this scoring then mends.
+
+    Returns:
+        The results; None if there are none, or damaged ones of no other cores.
+
+    Raises:
+        ScoreError: They are of another dataset, or those of other cores would be lost.
+    """
+    if not any((directory / name).exists() for name in (SCORES, INFO)):
+        return None
+    info = _info_of_dataset(directory, dataset_path)
+    try:
+        results = load_results(directory)
+    except ScoreError as error:
+        lost = [str(name) for name in info.get("cores", []) if name not in cores]
+        if lost:
+            raise ScoreError(
+                f"{directory}: the scores there are damaged, those of {', '.join(lost)} would be"
+                f" lost: score these cores too, or name another folder with --out ({error})"
+            ) from error
+        say(f"{directory}: the scores there are damaged and will be replaced ({error})")
+        return None
+    if not _is_of_shots(results.scores, range_los_m):
+        raise ScoreError(
+            f"{directory}: holds scores of {dataset_path} when it had other shots; name another"
+            " folder with --out, or remove them"
+        )
+    return results
+
+
+def _info_of_dataset(directory: Path, dataset_path: Path) -> dict[str, Any]:
+    try:
+        info = _read_json(directory / INFO)
+        named = (directory / str(info["dataset"])).resolve()
+    except (ScoreError, KeyError) as error:
+        raise ScoreError(
+            f"{directory}: holds scores, but {INFO} does not say of which dataset; name another"
+            " folder with --out, or remove them"
+        ) from error
+    if named != dataset_path.resolve():
+        raise ScoreError(
+            f"{directory}: holds the scores of another dataset, {named}; name another folder for"
+            f" those of {dataset_path} with --out"
+        )
+    return info
+
+
+def _is_of_shots(scores: pd.DataFrame, range_los_m: Mapping[int, float]) -> bool:
+    expected = sorted(range_los_m)
+    if any(
+        sorted(scores.loc[scores["core"] == core, "shot_id"]) != expected
+        for core in _core_names(scores)
+    ):
+        return False
+    expected_m = [range_los_m[shot_id] for shot_id in scores["shot_id"]]
+    return np.allclose(scores["range_los_m"], expected_m, rtol=1e-9, atol=0.0, equal_nan=True)
+
+
+def _core_names(scores: pd.DataFrame) -> list[str]:
+    return [str(name) for name in scores["core"].unique()]
+
+
+def _merged(scores: pd.DataFrame, earlier: ScoreResults | None) -> pd.DataFrame:
+    """Put rows of cores that stay between those of cores scored anew."""
+    if earlier is None:
+        return scores
+    old, new = _core_names(earlier.scores), _core_names(scores)
+    sources = {name: scores if name in new else earlier.scores for name in (*old, *new)}
+    rows = [source[source["core"] == name] for name, source in sources.items()]
+    return pd.concat(rows, ignore_index=True)
+
+
+def _origins(earlier: ScoreResults | None, kept: Sequence[str]) -> dict[str, Mapping[str, Any]]:
+    """Tell when and with what the cores that stay were scored."""
+    if earlier is None:
+        return {}
+    last = {"scored_utc": earlier.scored_utc, "software": earlier.software}
+    return {name: earlier.kept.get(name, last) for name in kept}
+
+
 def _read_scores(path: Path) -> pd.DataFrame:
     try:
-        table = pd.read_csv(path, keep_default_na=False, na_values=[""])
+        # As text first: pandas 2 reads floats of its own making, which may be off in the last
+        # digit, and rows that stay are written again.
+        table = pd.read_csv(path, dtype="str", keep_default_na=False, na_values=[""])
         missing = [name for name in COLUMNS if name not in table.columns]
         if missing:
             raise ScoreError(f"{path}: columns are missing: {', '.join(missing)}")
@@ -178,6 +301,12 @@ def _write_matches(path: Path, scores: Sequence[CoreScore]) -> None:
                 stored.attrs.update(parent="trs", child="cam", quaternion_order="xyzw")
             if score.result.covariance is not None:
                 group.create_dataset("covariance", data=score.result.covariance)
+
+
+def _copy_matches(source_path: Path, target_path: Path, cores: Sequence[str]) -> None:
+    with h5py.File(source_path, "r") as source, h5py.File(target_path, "a") as target:
+        for core in cores:
+            source.copy(core, target)
 
 
 def _write_json(path: Path, value: Mapping[str, Any]) -> None:

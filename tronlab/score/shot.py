@@ -1,7 +1,9 @@
 """Scoring one shot: images in, rows out."""
 
-from collections.abc import Mapping
-from contextlib import ExitStack
+import signal
+import threading
+from collections.abc import Generator, Mapping
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -11,10 +13,13 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from tronlab.dataset.reader import Dataset
-from tronlab.errors import ScoreError, TronlabError
+from tronlab.errors import IntegrityError, ScoreError, TronlabError
 from tronlab.nav.core import CoreContext, NavigationCore, NavigationResult, Status
 from tronlab.nav.cores import make_core
 from tronlab.score.table import Row, score_row
+
+LIMIT_S = 60.0
+"""How long a core may take for one image."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,15 +73,22 @@ class ShotScorer:
 
 
 def score_shot(dataset: Dataset, i: int, *, cores: Mapping[str, NavigationCore]) -> list[CoreScore]:
-    """Score one shot. What comes out depends on nothing but what goes in."""
-    image, mask, truth = dataset.image(i), dataset.mask(i), dataset.truth(i)
-    shot_id = int(dataset.shot_ids[i])
-    scores: list[CoreScore] = []
-    for name, core in cores.items():
-        result = locate(core, image, mask)
-        row = score_row(name, shot_id, truth=truth, result=result)
-        scores.append(CoreScore(name, shot_id, row, result))
-    return scores
+    """Score one shot. What comes out depends on nothing but what goes in.
+
+    A shot whose image is damaged is an error of every core, and the other shots are still scored.
+    """
+    truth, shot_id = dataset.truth(i), int(dataset.shot_ids[i])
+    try:
+        image, mask = dataset.image(i), dataset.mask(i)
+    except IntegrityError as error:
+        damaged = NavigationResult("error", reason=str(error))
+        results = dict.fromkeys(cores, damaged)
+    else:
+        results = {name: locate(core, image, mask) for name, core in cores.items()}
+    return [
+        CoreScore(name, shot_id, score_row(name, shot_id, truth=truth, result=result), result)
+        for name, result in results.items()
+    ]
 
 
 def build_core(name: str, context: CoreContext) -> NavigationCore:
@@ -95,12 +107,40 @@ def build_core(name: str, context: CoreContext) -> NavigationCore:
         ) from error
 
 
-def locate(core: NavigationCore, image: Any, mask: Any) -> NavigationResult:
+def locate(
+    core: NavigationCore, image: Any, mask: Any, *, limit_s: float = LIMIT_S
+) -> NavigationResult:
     """Ask a core for a pose; whatever goes wrong inside it is a result with a reason."""
     try:
-        return _checked(core.locate(image, mask))
+        with _time_limit(limit_s):
+            return _checked(core.locate(image, mask))
+    except _TimeUp:
+        return NavigationResult("timeout", reason=f"no answer within {limit_s:g} s")
     except Exception as error:
         return NavigationResult("error", reason=f"{type(error).__name__}: {error}")
+
+
+class _TimeUp(BaseException):
+    """The time of a core is up; not an Exception, so that the core does not catch it by chance."""
+
+
+@contextmanager
+def _time_limit(limit_s: float) -> Generator[None]:
+    """Interrupt what runs longer, as far as a signal can: between two steps of Python code."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def ring(_signal: int, _frame: object) -> None:
+        raise _TimeUp
+
+    before = signal.signal(signal.SIGALRM, ring)
+    signal.setitimer(signal.ITIMER_REAL, limit_s)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
 
 
 def _checked(result: object) -> NavigationResult:
@@ -113,6 +153,19 @@ def _checked(result: object) -> NavigationResult:
             raise ValueError("the core answered 'ok' without a pose")
         if not np.isfinite(result.trs_from_cam.as_matrix()).all():
             raise ValueError("the core answered 'ok' with a pose that is not finite")
+    for name in ("n_features", "n_matches", "n_inliers"):
+        if not (isinstance(getattr(result, name), int | np.integer) and getattr(result, name) >= 0):
+            raise ValueError(f"{name} is {getattr(result, name)!r}, must be a whole number from 0")
+    for name in ("time_detect_s", "time_match_s", "time_pose_s"):
+        if not np.isfinite(getattr(result, name)):
+            raise ValueError(f"{name} is {getattr(result, name)!r}, must be finite")
+    if result.covariance is not None and not _is_covariance(result.covariance):
+        raise ValueError("the covariance is not finite or not of shape (6, 6)")
     if np.shape(result.uv_inliers)[1:] != (2,):
         raise ValueError(f"uv_inliers have shape {np.shape(result.uv_inliers)}, expected (n, 2)")
     return result
+
+
+def _is_covariance(covariance: object) -> bool:
+    array = np.asarray(covariance, dtype=np.float64)
+    return array.shape == (6, 6) and bool(np.isfinite(array).all())

@@ -45,12 +45,12 @@ def _score_in_processes(
     dataset_path: Path, core_names: tuple[str, ...], n_shots: int, *, n_workers: int
 ) -> Generator[tuple[int, list[CoreScore]]]:
     with _pool(n_workers) as pool:
-        with _interrupts_held():
-            futures = {
-                pool.submit(_score_in_worker, dataset_path, core_names, i): i
-                for i in range(n_shots)
-            }
         try:
+            with interrupts_held():
+                futures = {
+                    pool.submit(_score_in_worker, dataset_path, core_names, i): i
+                    for i in range(n_shots)
+                }
             for future in as_completed(futures):
                 answer = future.result()
                 if isinstance(answer, TronlabError):
@@ -100,8 +100,8 @@ def _pool(n_workers: int) -> Generator[ProcessPoolExecutor]:
 
 
 @contextmanager
-def _interrupts_held() -> Generator[None]:
-    """Hold Ctrl-C back while processes start: they inherit that and leave it to this one."""
+def interrupts_held() -> Generator[None]:
+    """Hold Ctrl-C back for a while; processes started meanwhile inherit that and never see it."""
     held = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

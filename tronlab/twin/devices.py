@@ -38,7 +38,9 @@ class _View(ABC):
     def __init__(self, context: DeviceContext) -> None:
         self._name = context.name
         self._world = _common_world(context)
-        self._rng: Generator = named_rng(context.seed, self._kind)
+        self._rng: Generator = named_rng(
+            context.seed, f"noise of {self._kind} in {context.session}"
+        )
         self._is_connected = False
 
     @property

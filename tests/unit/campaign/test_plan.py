@@ -6,10 +6,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from tronlab.campaign.plan import Plan, Shot, check_reach, database_indices, make_plan
+from tronlab.campaign.plan import (
+    Plan,
+    Shot,
+    check_reach,
+    check_terrain_in_view,
+    database_indices,
+    make_plan,
+)
 from tronlab.devices.laboratory import MountingSpec, PoseSpec
 from tronlab.devices.readings import RobotTarget
 from tronlab.errors import LimitError, PlanError
+from tronlab.geometry.poses import pose_along_boresight
 
 MOUNTING = MountingSpec(
     trs_from_rail=PoseSpec(xyz_m=(2.3, 2.0, 6.0), zyx_deg=(0.0, 90.0, 180.0)),
@@ -128,3 +136,20 @@ def test_reference_views_are_distinct_and_spread(n_poses: int, data: st.DataObje
 def test_more_views_than_poses_are_refused() -> None:
     with pytest.raises(PlanError, match="n_views is 3, but the trajectory has only 2 poses"):
         database_indices(2, n_views=3)
+
+
+class GroundUntil:
+    """Terrain that ends at x = 1.2 m."""
+
+    def range_along_m(self, p_trs_m: np.ndarray, direction_trs: np.ndarray) -> float:
+        return 3.0 if p_trs_m[0] < 1.2 else float("nan")
+
+
+def test_shots_that_look_past_the_model_are_all_listed() -> None:
+    xs = [1.0, 1.3, 1.1, 1.4]
+    looking = [
+        pose_along_boresight([x, 2.0, 3.0], boresight=[0, 0, -1], right=[0, 1, 0]) for x in xs
+    ]
+    plan = make_plan(looking, mounting=MOUNTING)
+    with pytest.raises(PlanError, match="2 of 4 shots look past the terrain model: 2, 4;"):
+        check_terrain_in_view(plan, GroundUntil())

@@ -25,7 +25,10 @@ def test_ctrl_c_asks_and_the_handler_before_comes_back() -> None:
         assert stop.is_asked
         os.kill(os.getpid(), signal.SIGINT)
         assert stop.is_at_once
-    assert announced == ["stopping after this shot; Ctrl-C again stops at once"]
+    assert announced == [
+        "stopping after this shot; Ctrl-C again stops at once",
+        "stopping at once",
+    ]
     assert signal.getsignal(signal.SIGINT) is before
 
 

@@ -2,6 +2,7 @@ import subprocess
 import sys
 
 import pytest
+import typer
 
 from tronlab.cli import app as cli_app
 from tronlab.errors import ConfigError, NotConnectedError
@@ -74,3 +75,17 @@ def test_ctrl_c_is_exit_code_130(monkeypatch):
     with pytest.raises(SystemExit) as caught:
         cli_app.main()
     assert caught.value.code == 130
+
+
+def test_ctrl_c_inside_a_command_is_told(monkeypatch, capsys):
+    def interrupted():
+        raise KeyboardInterrupt
+
+    app = typer.Typer()
+    app.command()(interrupted)
+    monkeypatch.setattr(cli_app, "app", app)
+    monkeypatch.setattr(sys, "argv", ["tronlab"])
+    with pytest.raises(SystemExit) as caught:
+        cli_app.main()
+    assert caught.value.code == 130
+    assert "interrupted" in capsys.readouterr().err

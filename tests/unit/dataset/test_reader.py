@@ -1,5 +1,6 @@
 import fcntl
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -282,6 +283,78 @@ def test_an_image_whose_bytes_changed_is_not_handed_out(small_dataset: Path) -> 
         dataset.shot(4)
 
 
+@pytest.mark.parametrize("name", schema.REFERENCE_VALUES)
+def test_a_reference_view_whose_bytes_changed_is_not_handed_out(
+    small_dataset: Path, name: str
+) -> None:
+    with h5py.File(small_dataset, "r+") as file:
+        column = file[f"{schema.REFERENCES}/{name}"]
+        column[1] = column[1] * 5
+        damaged_id = file[f"{schema.REFERENCES}/view_id"][1]
+    with Dataset(small_dataset) as dataset:
+        with pytest.raises(IntegrityError, match=rf"reference view {damaged_id} is damaged: its"):
+            dataset.references()
+        dataset.reference(0)
+
+
+def test_reference_views_without_checksums_are_not_handed_out(small_dataset: Path) -> None:
+    with h5py.File(small_dataset, "r+") as file:
+        del file[schema.REFERENCES_CRC32]
+    with (
+        Dataset(small_dataset) as dataset,
+        pytest.raises(IntegrityError, match=r"entry/references/crc32 is missing"),
+    ):
+        dataset.references()
+
+
+@pytest.mark.parametrize("i", [-1, 2])
+def test_a_reference_view_out_of_range_is_refused(small_dataset: Path, i: int) -> None:
+    with (
+        Dataset(small_dataset) as dataset,
+        pytest.raises(DatasetError, match=f"no reference view with index {i}; there are 2"),
+    ):
+        dataset.reference(i)
+
+
+def test_a_pixel_format_that_is_no_text_is_damage(small_dataset: Path) -> None:
+    with h5py.File(small_dataset, "r+") as file:
+        file[f"{schema.CAMERA}/pixel_format"][2] = b"M\xff\xfe8"
+    with Dataset(small_dataset) as dataset:
+        dataset.shot(1)
+        with pytest.raises(
+            IntegrityError, match=r"shot 2: pixel_format is damaged: .* is not text"
+        ):
+            dataset.shot(2)
+
+
+def test_a_status_that_is_no_text_is_damage(small_dataset: Path) -> None:
+    with h5py.File(small_dataset, "r+") as file:
+        file["entry/recording/status"][()] = b"\xff\xfe"
+    with (
+        Dataset(small_dataset) as dataset,
+        pytest.raises(IntegrityError, match=r"entry/recording/status is damaged: .* is not text"),
+    ):
+        assert dataset.status
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("fx_px", "wide", "fx_px is 'wide', not a number"),
+        ("fx_px", "48.0", "fx_px is '48.0', not a number"),
+        ("distortion", "12345", "distortion is '12345', not a number"),
+        ("distortion", [0.1, 0.2], "camera model: "),
+        ("width_px", np.inf, "cannot convert float infinity"),
+    ],
+)
+def test_a_spoilt_camera_model_is_damage(
+    small_dataset: Path, name: str, value: Any, message: str
+) -> None:
+    set_attribute(small_dataset, f"{schema.CAMERA}/model", name, value)
+    with pytest.raises(IntegrityError, match=f"{schema.CAMERA}/model: {message}"):
+        Dataset(small_dataset)
+
+
 def test_a_spoilt_quaternion_is_not_handed_out(small_dataset: Path) -> None:
     with h5py.File(small_dataset, "r+") as file:
         file["entry/truth/trs_from_cam"][1, 6] = 2.0
@@ -291,3 +364,17 @@ def test_a_spoilt_quaternion_is_not_handed_out(small_dataset: Path) -> None:
             dataset.truth(1)
         with pytest.raises(IntegrityError, match=message):
             dataset.truths()
+
+
+@pytest.mark.parametrize("start", range(0, 4000, 500))
+def test_scrambled_metadata_is_a_clear_error_or_no_harm(small_dataset: Path, start: int) -> None:
+    content = bytearray(small_dataset.read_bytes())
+    for offset in range(start, start + 500, 7):
+        content[offset] ^= 0xA5
+    small_dataset.write_bytes(content)
+    # Whatever else than a DatasetError comes out fails the test.
+    with suppress(DatasetError), Dataset(small_dataset) as dataset:
+        for i in range(dataset.n_shots):
+            dataset.shot(i)
+        dataset.references()
+    assert small_dataset.read_bytes() == content

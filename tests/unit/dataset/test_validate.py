@@ -1,3 +1,4 @@
+import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -108,9 +109,30 @@ def test_an_aborted_recording_is_told(
             0.25,
             "shot 0: usable fraction is 0.25, the mask's is 0.794271",
         ),
-        ("entry/references/depth_m", (1, 5, 5), -1.0, "reference view 1: a depth is not positive"),
-        ("entry/references/depth_m", 0, np.nan, "reference view 0: no terrain is seen"),
-        ("entry/references/view_id", 0, 1, "reference views: an id is there twice"),
+        (
+            "entry/instrument/camera/pixel_format",
+            2,
+            b"M\xff\xfe8",
+            "shot 2: pixel_format is damaged: b'M\\xff\\xfe8' is not text",
+        ),
+        (
+            "entry/references/depth_m",
+            (1, 5, 5),
+            1.5,
+            "reference view 1 is damaged: its checksum does not match",
+        ),
+        (
+            "entry/references/image",
+            (0, slice(10)),
+            0,
+            "reference view 0 is damaged: its checksum does not match",
+        ),
+        (
+            "entry/references/mask",
+            (1, slice(20)),
+            0,
+            "reference view 1 is damaged: its checksum does not match",
+        ),
         (schema.N_COMMITTED, (), 4, "4 of 5 planned shots are there"),
         ("entry/recording/status", (), b"odd", "unknown status 'odd'"),
     ],
@@ -120,6 +142,53 @@ def test_each_defect_is_found(
 ) -> None:
     findings = spoilt(small_dataset, where, index, value)
     assert any(finding.startswith(expected) for finding in findings), findings
+
+
+def test_every_damaged_reference_view_is_found(small_dataset: Path) -> None:
+    with h5py.File(small_dataset, "r+") as file:
+        file["entry/references/depth_m"][...] = 1.5
+    findings = validate(small_dataset)
+    assert [finding.split(":")[0] for finding in findings] == [
+        "reference view 0 is damaged",
+        "reference view 1 is damaged",
+    ]
+
+
+def test_reference_views_without_checksums_are_told_once(small_dataset: Path) -> None:
+    with h5py.File(small_dataset, "r+") as file:
+        del file[schema.REFERENCES_CRC32]
+    (finding,) = validate(small_dataset)
+    assert finding.startswith("entry/references/crc32 is missing or damaged")
+
+
+def test_reference_views_that_make_no_sense_are_found(
+    tmp_path: Path, make_provenance: MakeProvenance, make_view: Callable[[int], ReferenceView]
+) -> None:
+    behind, unseen = make_view(0), make_view(1)
+    behind.depth_m[5, 5] = -1.0
+    unseen.depth_m[:] = np.nan
+    views = [behind, unseen, replace(make_view(2), view_id=0)]
+    findings = findings_of(tmp_path / "a.h5", make_provenance(1), [], views)
+    assert findings[1:] == [
+        "reference view 0: a depth is not positive",
+        "reference view 1: no terrain is seen",
+        "reference views: an id is there twice",
+    ]
+
+
+def test_a_camera_model_that_is_not_the_calibrated_one_is_found(
+    tmp_path: Path, make_shot: MakeShot, make_provenance: MakeProvenance
+) -> None:
+    path = tmp_path / "a.h5"
+    provenance = make_provenance(1)
+    calibration = {"camera": provenance.camera.to_dict()}
+    provenance = replace(provenance, calibration_json=json.dumps(calibration))
+    assert findings_of(path, provenance, [make_shot(0)], []) == []
+    with h5py.File(path, "r+") as file:
+        file[f"{schema.CAMERA}/model"].attrs["fx_px"] = 48.48
+    assert validate(path) == [
+        "instrument/camera/model: fx_px is 48.48, the calibration record says 48.0"
+    ]
 
 
 def test_a_truth_that_does_not_follow_from_the_raw_reading_is_found(
@@ -134,7 +203,19 @@ def test_a_truth_that_does_not_follow_from_the_raw_reading_is_found(
     assert findings[0].endswith("mm apart")
 
 
-@pytest.mark.parametrize("calibration_json", ["", "not JSON", "[1]", '{"trs_from_trk": 1}'])
+@pytest.mark.parametrize(
+    "calibration_json",
+    [
+        "",
+        "not JSON",
+        "[1]",
+        '{"trs_from_trk": 1}',
+        '{"camera": 1}',
+        '{"camera": {"fx_px": 1}}',
+        '{"camera": {"width_px": Infinity, "height_px": 1, "fx_px": 1, "fy_px": 1, "cx_px": 1,'
+        ' "cy_px": 1, "distortion": [0, 0, 0, 0, 0]}}',
+    ],
+)
 def test_a_calibration_that_says_nothing_is_passed_over(
     tmp_path: Path, make_shot: MakeShot, make_provenance: MakeProvenance, calibration_json: str
 ) -> None:

@@ -1,6 +1,7 @@
 """Scoring a whole dataset: order, files, plug-ins that fail, interruption, bad input."""
 
 import json
+import multiprocessing
 import os
 import shutil
 import signal
@@ -10,14 +11,17 @@ import time
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pandas as pd
 import pytest
 from scipy.spatial.transform import RigidTransform
 
+from tronlab.dataset import schema
 from tronlab.dataset.reader import Dataset
+from tronlab.dataset.records import Truth
 from tronlab.dataset.writer import DatasetWriter
-from tronlab.errors import DatasetError, ScoreError
+from tronlab.errors import DatasetError, IntegrityError, ScoreError
 from tronlab.nav import cores as nav_cores
 from tronlab.nav.core import NavigationResult
 from tronlab.score.rescore import campaign_cores, score_dataset
@@ -85,14 +89,28 @@ def interrupted(context: object) -> ShiftCore:
     return core
 
 
+def too_dark(context: object) -> ShiftCore:
+    core = ShiftCore()
+    core.calls = 2
+    return core
+
+
 @pytest.fixture
 def plug_ins(monkeypatch: pytest.MonkeyPatch) -> None:
     class Point(EntryPoint):
         def load(self):
             return globals()[self.attr]
 
-    names = ("shift", "broken", "interrupted")
-    points = [Point(n, f"here:{n}", nav_cores.ENTRY_POINT_GROUP) for n in names]
+    names = {
+        "shift": "shift",
+        "broken": "broken",
+        "interrupted": "interrupted",
+        "too-dark": "too_dark",
+        "third": "shift",
+        "my/core": "shift",
+        ".": "shift",
+    }
+    points = [Point(n, f"here:{f}", nav_cores.ENTRY_POINT_GROUP) for n, f in names.items()]
     monkeypatch.setattr(nav_cores, "entry_points", lambda group: points)
 
 
@@ -167,6 +185,117 @@ def test_interruption_keeps_rows_and_the_old_scores(scored: Path, plug_ins: None
     assert not [p for p in scored.iterdir() if p.name.startswith(".score")]
 
 
+def lines_of(folder: Path, core: str) -> list[str]:
+    lines = (folder / "scores.csv").read_text().splitlines()
+    return [line for line in lines if line.startswith(f"{core},")]
+
+
+def test_cores_that_are_not_scored_anew_stay(scored: Path) -> None:
+    said: list[str] = []
+
+    def score(*cores: str) -> pd.DataFrame:
+        return score_dataset(scored / "dataset.h5", cores=cores, workers=1, announce=said.append)
+
+    first, before = load_results(scored), lines_of(scored, "shift")
+    table = score("too-dark")
+    assert table["core"].tolist() == ["shift"] * 5 + ["too-dark"] * 5
+    assert lines_of(scored, "shift") == before
+    results = load_results(scored)
+    assert results.cores == tuple(results.summary) == ("shift", "too-dark")
+    assert results.summary["shift"] == first.summary["shift"]
+    assert results.reasons["shift", 1] == "ValueError: lens cap on"
+    np.testing.assert_array_equal(results.uv_inliers("shift", 0), [[1, 2], [3, 4]])
+    assert results.kept == {"shift": {"scored_utc": first.scored_utc, "software": first.software}}
+    with h5py.File(scored / "matches.h5") as file:
+        assert dict(file["shift/0/trs_from_cam"].attrs)["parent"] == "trs"
+    assert said.pop() == f"{scored / 'scores.csv'}: of the earlier scoring: kept shift"
+
+    kept = lines_of(scored, "too-dark")
+    table = score("third", "shift")
+    assert table["core"].tolist() == ["shift"] * 5 + ["too-dark"] * 5 + ["third"] * 5
+    assert lines_of(scored, "too-dark") == kept
+    assert said.pop().endswith(": kept too-dark; replaced shift")
+    results = load_results(scored)
+    assert list(results.kept) == ["too-dark"]
+    assert results.kept["too-dark"]["software"] == results.software
+    pd.testing.assert_frame_equal(results.scores, table, check_exact=True)
+
+
+def test_another_core_scored_meanwhile_stays(scored: Path) -> None:
+    dataset = scored / "dataset.h5"
+
+    def score_another(n_done: int, _n_all: int) -> None:
+        if n_done == 2:
+            score_dataset(dataset, cores=["third"], workers=1)
+
+    table = score_dataset(dataset, cores=["too-dark"], workers=1, progress=score_another)
+    assert table["core"].unique().tolist() == ["shift", "third", "too-dark"]
+
+
+def test_results_of_another_dataset_are_not_overwritten(scored: Path, tmp_path: Path) -> None:
+    dataset, before = scored / "dataset.h5", (scored / "scores.csv").read_bytes()
+    other = tmp_path / "other.h5"
+    shutil.copy(dataset, other)
+    with pytest.raises(ScoreError, match=r"another dataset, .*dataset\.h5; .*other\.h5 with --out"):
+        score_dataset(other, cores=["shift"], workers=1, out_dir=scored)
+    with h5py.File(dataset, "a") as file:
+        ranges_m = file[f"{schema.TRUTH}/range_los_m"]
+        assert isinstance(ranges_m, h5py.Dataset)
+        ranges_m[2] = ranges_m[2] + 1e-6
+    with pytest.raises(ScoreError, match=r"holds scores of .* when it had other shots; .*--out"):
+        score_dataset(dataset, cores=["shift"], workers=1)
+    (scored / "score.json").unlink()
+    with pytest.raises(ScoreError, match=r"score\.json does not say of which dataset; .*--out"):
+        score_dataset(dataset, cores=["shift"], workers=1)
+    assert (scored / "scores.csv").read_bytes() == before
+
+
+def test_damaged_results_are_replaced_only_if_nothing_is_lost(scored: Path) -> None:
+    said: list[str] = []
+    (scored / "matches.h5").write_bytes(b"")
+    with pytest.raises(ScoreError, match=r"damaged, those of shift would be lost.*matches\.h5"):
+        score_dataset(scored / "dataset.h5", cores=["too-dark"], workers=1)
+    score_dataset(scored / "dataset.h5", cores=["shift"], workers=1, announce=said.append)
+    assert "are damaged and will be replaced" in said[0]
+    assert load_results(scored).cores == ("shift",)
+
+
+def test_results_beyond_a_link_are_those_of_the_same_dataset(scored: Path, tmp_path: Path) -> None:
+    (tmp_path / "far" / "away").mkdir(parents=True)
+    (tmp_path / "link").symlink_to(tmp_path / "far" / "away")
+    for core in ("shift", "third"):
+        score_dataset(scored / "dataset.h5", cores=[core], workers=1, out_dir=tmp_path / "link")
+    results = load_results(tmp_path / "link")
+    assert results.cores == ("shift", "third")
+    assert results.dataset_path == (scored / "dataset.h5").resolve()
+
+
+def test_an_error_half_way_keeps_rows(scored: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    truth = Dataset.truth
+
+    def damaged_from_the_third(self: Dataset, i: int) -> Truth:
+        if i == 2:
+            raise IntegrityError("shot 2: damaged")
+        return truth(self, i)
+
+    before = (scored / "scores.csv").read_bytes()
+    monkeypatch.setattr(Dataset, "truth", damaged_from_the_third)
+    expected = r"shot 2: damaged\n2 of 5 shots were scored; .*scores\.partial\.csv"
+    with pytest.raises(ScoreError, match=expected):
+        score_dataset(scored / "dataset.h5", cores=["third"], workers=1)
+    assert pd.read_csv(scored / "scores.partial.csv")["shot_id"].tolist() == [0, 1]
+    assert (scored / "scores.csv").read_bytes() == before
+
+
+def test_an_error_is_told_even_if_its_rows_cannot_be_written(
+    small_dataset: Path, plug_ins: None
+) -> None:
+    (small_dataset.parent / "scores.partial.csv").mkdir()
+    expected = r"interrupted: 1 of 5 shots were scored; their rows cannot be written: "
+    with pytest.raises(KeyboardInterrupt, match=expected):
+        score_dataset(small_dataset, cores=["interrupted"], workers=1)
+
+
 def test_results_of_two_scorings_are_refused(scored: Path) -> None:
     table = scored / "scores.csv"
     table.write_text(table.read_text().replace("ok", "no_pose"))
@@ -179,8 +308,13 @@ def test_results_of_two_scorings_are_refused(scored: Path) -> None:
 def test_bad_input_is_one_clear_error(
     small_dataset: Path, tmp_path: Path, make_provenance, plug_ins: None
 ) -> None:
-    with pytest.raises(ScoreError, match=r"no navigation core 'sift'; known cores: broken, inter"):
+    with pytest.raises(
+        ScoreError, match=r"no navigation core 'sift'; known cores: \., broken, inter"
+    ):
         score_dataset(small_dataset, cores=["sift"])
+    for name in ("my/core", "."):
+        with pytest.raises(ScoreError, match=f"navigation core '{name}': its results cannot be"):
+            score_dataset(small_dataset, cores=[name])
     with pytest.raises(ScoreError, match="workers is 0, must be 1 or more"):
         score_dataset(small_dataset, cores=["shift"], workers=0)
     with pytest.raises(ScoreError, match="'broken' cannot be built: RuntimeError: no licence"):
@@ -236,6 +370,28 @@ def test_one_and_two_workers_give_the_same_numbers(textured_dataset: Path, tmp_p
     assert two.loc[:5, "position_error_pct_los"].max() < 1.0
     with Dataset(textured_dataset) as dataset:
         assert dataset.n_shots == 6
+
+
+def test_a_worker_that_dies_costs_only_what_is_not_done(
+    textured_dataset: Path, tmp_path: Path
+) -> None:
+    def kill_the_workers(n_done: int, _n_all: int) -> None:
+        if n_done == 1:
+            for child in multiprocessing.active_children():
+                child.kill()
+
+    with pytest.raises(ScoreError, match=r"worker process died.*\n\d of 6 .*scores\.partial\.csv"):
+        score_dataset(
+            textured_dataset,
+            cores=["akaze"],
+            out_dir=tmp_path,
+            workers=2,
+            progress=kill_the_workers,
+        )
+    assert 1 <= len(pd.read_csv(tmp_path / "scores.partial.csv")) < 6
+    assert not (tmp_path / "scores.csv").exists()
+    with pytest.raises(ScoreError, match=r"no scores\.csv there, only scores\.partial\.csv of a"):
+        load_results(tmp_path)
 
 
 def is_gone(group: int, *, within_s: float) -> bool:
