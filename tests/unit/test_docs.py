@@ -1,17 +1,23 @@
 """The documentation says what is: its links, its tables and its snippets."""
 
 import doctest
+import os
 import re
+import subprocess
+import sys
 from importlib import import_module
 from pathlib import Path
 from pkgutil import walk_packages
 
 import pytest
+from ruamel.yaml import YAML
 
 import tronlab
+from tronlab.campaign.config import CampaignConfig
 from tronlab.errors import TronlabError
 from tronlab.geometry.frames import FRAMES
 from tronlab.score.table import COLUMNS
+from tronlab.yaml_models import parse_model
 
 ROOT = Path(__file__).parents[2]
 CONVENTIONS = ROOT / "docs/conventions.md"
@@ -83,3 +89,30 @@ def test_every_error_is_explained() -> None:
     public = {name for name in error_names() if not name.startswith("_")}
     assert set(explained) >= public - {"TronlabError"}
     assert set(explained) <= public
+
+
+def test_the_campaign_of_the_tutorial_can_be_read() -> None:
+    """The page's YAML over straight_line.yaml is a campaign, and changes what it says."""
+    page = (ROOT / "docs/tutorials/first_campaign.md").read_text()
+    original = (ROOT / "campaigns/straight_line.yaml").read_text()
+    text = original
+    for block in re.findall(r"^```yaml\n(.*?)^```$", page, re.DOTALL | re.MULTILINE):
+        for line in block.splitlines():
+            key = line.split(":")[0]
+            text, n_lines = re.subn(rf"^{key}:[^\n]*", line, text, flags=re.MULTILINE)
+            assert n_lines == 1, key
+    campaign = parse_model(text, CampaignConfig, path=ROOT / "campaigns/sideways.yaml")
+    assert (campaign.name, campaign.database.n_views) == ("sideways", 4)
+    before, after = (set(YAML(typ="safe", pure=True).load(it)) for it in (original, text))
+    assert before == after
+
+
+def test_the_picture_of_the_frames_can_be_drawn(tmp_path: Path) -> None:
+    picture = tmp_path / "frames.png"
+    subprocess.run(
+        [sys.executable, ROOT / "docs/draw_frames.py", picture],
+        env={**os.environ, "XDG_CACHE_HOME": str(tmp_path)},
+        check=True,
+        timeout=120,
+    )
+    assert picture.read_bytes().startswith(b"\x89PNG")

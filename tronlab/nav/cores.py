@@ -27,6 +27,8 @@ from tronlab.nav.pose import Correspondences, NoPoseError, refine_pose, solve_ep
 ENTRY_POINT_GROUP = "tronlab.navigation_cores"
 BUILT_IN_CORES = ("akaze", "brisk", "akaze-refined", "brisk-refined")
 
+TRUSTED_SIZE_PX = 30.0
+"""Largest feature the paper's estimator trusts."""
 RANSAC_MAX_RATIO = 0.8
 N_RANSAC = 500
 RANSAC_TOLERANCE_PX = 4.0
@@ -118,27 +120,27 @@ class FeatureCore:
         )
 
 
-def best_matches(sighting: Sighting, *, max_ratio: float, n_max: int) -> Matches:
+def best_matches(sighting: Sighting, *, max_ratio: float) -> Matches:
     """Give the least ambiguous matches: very similar to one landmark, and to no other."""
     matches = sighting.matches
-    return matches.take(np.flatnonzero(matches.ratio <= max_ratio)[:n_max])
+    return matches.take(np.flatnonzero(matches.ratio <= max_ratio))
 
 
 def estimate_by_epnp(finder: LandmarkFinder, sighting: Sighting) -> NavigationResult:
-    """Estimate as the paper does: EPnP on the most similar matches, all of them trusted."""
-    best = finder.correspondences(
-        sighting,
-        best_matches(
-            sighting, max_ratio=finder.detector.trusted_ratio, n_max=finder.detector.n_trusted
-        ),
-    )
-    return NavigationResult("ok", solve_epnp(best), uv_inliers=best.uv)
+    """Estimate as the paper does: EPnP on the best matches, all of them trusted.
+
+    Large features are left out: their places are pixels off, and EPnP weighs all alike.
+    """
+    best = best_matches(sighting, max_ratio=finder.detector.trusted_ratio)
+    is_small = sighting.features.size_px[best.feature] <= TRUSTED_SIZE_PX
+    trusted = finder.correspondences(sighting, best.take(np.flatnonzero(is_small)))
+    return NavigationResult("ok", solve_epnp(trusted), uv_inliers=trusted.uv)
 
 
 def estimate_by_least_squares(finder: LandmarkFinder, sighting: Sighting) -> NavigationResult:
     """Estimate by RANSAC on the most similar matches, then least squares on all that agree."""
     best = finder.correspondences(
-        sighting, best_matches(sighting, max_ratio=RANSAC_MAX_RATIO, n_max=N_RANSAC)
+        sighting, best_matches(sighting, max_ratio=RANSAC_MAX_RATIO).first(N_RANSAC)
     )
     start, _ = solve_ransac(best, tolerance=RANSAC_TOLERANCE_PX / finder.camera.fx_px)
     every = finder.correspondences(sighting, sighting.matches)

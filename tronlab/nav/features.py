@@ -74,9 +74,6 @@ class Detector:
     trusted_ratio: float
     """Distance of a match, over that to its nearest rival, up to which it is trusted
     without a look at geometry."""
-    n_trusted: int
-    """Most matches trusted so: more of them make EPnP steadier, the lesser ones bring in wrong
-    ones, which it cannot stand."""
     is_cheap_to_describe: bool
     """True if describing after detecting repeats no work, so that only the features kept are
     described."""
@@ -97,8 +94,7 @@ AKAZE = Detector(
     make=partial(_make, "AKAZE_create", threshold=0.001),
     n_max=2000,
     window_per_size=5.0,
-    trusted_ratio=0.45,
-    n_trusted=1500,
+    trusted_ratio=0.33,
     is_cheap_to_describe=False,
 )
 BRISK = Detector(
@@ -106,8 +102,7 @@ BRISK = Detector(
     make=partial(_make, "BRISK_create", thresh=30),
     n_max=3000,
     window_per_size=0.85,
-    trusted_ratio=0.5,
-    n_trusted=300,
+    trusted_ratio=0.36,
     is_cheap_to_describe=True,
 )
 

@@ -46,6 +46,10 @@ class Matches:
     def __len__(self) -> int:
         return len(self.feature)
 
+    def first(self, n_max: int) -> "Matches":
+        """Give the best, at most ``n_max``."""
+        return self.take(np.arange(min(n_max, len(self))))
+
     def take(self, chosen: NDArray[np.intp]) -> "Matches":
         """Give the chosen matches, in that order."""
         return Matches(

@@ -16,23 +16,26 @@ N_RANGE_BINS = 10
 """The median line has one point for each of these parts of the range."""
 SMALLEST_ERROR_PCT_LOS = 1e-6
 """Smaller errors, 10 nm at 1 m, are drawn here: a logarithmic axis has no place for zero."""
+RANGE_LABEL = "range along the line of sight [m]"
 ERROR_LABEL = "position error [% of LOS]"
 
 
 def error_against_range(scores: pd.DataFrame, styles: Mapping[str, CoreStyle]) -> Figure:
     """Draw the position error of every shot against its range, with a median line a core.
 
-    Shots without a pose are marked along the lower border, at their range.
+    Shots without a pose are crosses along the lower border at their range, one row a core.
     """
     with style_context():
         figure = new_figure(7.2, 4.2)
         axes = figure.add_subplot()
         for core, style in styles.items():
             _draw_points(axes, scores[scores["core"] == core], core, style)
-        axes.set_xlabel("range along the line of sight [m]")
+        is_missing = bool((scores["status"] != "ok").any())
+        axes.set_xlabel(RANGE_LABEL + (", crosses: no pose" if is_missing else ""))
         _finish(axes, is_empty=not _has_error(scores))
         if _has_error(scores):
             _log_axis(axes, "y")
+        _draw_missed(axes, scores, styles)
         axes.set_ylabel(ERROR_LABEL)
     return figure
 
@@ -99,15 +102,25 @@ def _draw_points(axes: Axes, rows: pd.DataFrame, core: str, style: CoreStyle) ->
         linewidth=1.6,
         label=_label(rows, core),
     )
-    missed = range_m[(rows["status"] != "ok").to_numpy() & np.isfinite(range_m)]
-    axes.plot(
-        missed,
-        np.full(missed.shape, 0.02),
-        "x",
-        color=style.colour,
-        markersize=6,
-        transform=axes.get_xaxis_transform(),
-    )
+
+
+def _draw_missed(axes: Axes, scores: pd.DataFrame, styles: Mapping[str, CoreStyle]) -> None:
+    """Draw a row of crosses for each core that missed a pose, below all errors."""
+    missed = scores[(scores["status"] != "ok") & np.isfinite(scores["range_los_m"])]
+    cores = [core for core in styles if (missed["core"] == core).any()]
+    _, top = axes.get_ylim()
+    lowest = axes.transData.inverted().transform(axes.transAxes.transform((0, -0.04 * len(cores))))
+    axes.set_ylim(lowest[1], top)
+    for i, core in enumerate(cores):
+        range_m = missed.loc[missed["core"] == core, "range_los_m"].to_numpy(dtype=np.float64)
+        axes.plot(
+            range_m,
+            np.full(range_m.shape, 0.02 + 0.035 * i),
+            "x",
+            color=styles[core].colour,
+            markersize=5,
+            transform=axes.get_xaxis_transform(),
+        )
 
 
 def _draw_steps(axes: Axes, rows: pd.DataFrame, core: str, style: CoreStyle) -> None:

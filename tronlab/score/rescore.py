@@ -3,8 +3,8 @@
 import os
 import platform
 import re
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -85,17 +85,11 @@ def score_dataset(
     job = _job(dataset_path, cores=cores, out_dir=out_dir, workers=workers, say=say)
     _earlier(job, say)
     done: dict[int, list[CoreScore]] = {}
-    try:
+    with _rows_kept_if_cut_short(job, done):
         _score(job, done, progress or _no_progress)
         # Read again: another core may have been scored into the same folder meanwhile.
         earlier = _earlier(job, _keep_quiet)
         table = save_results(job.out_dir, _in_order(job, done), _info(job), earlier=earlier)
-    except KeyboardInterrupt:
-        raise KeyboardInterrupt(f"interrupted: {_keep_what_is_done(job, done)}") from None
-    except TronlabError as error:
-        if not done:
-            raise
-        raise ScoreError(f"{error}\n{_keep_what_is_done(job, done)}") from error
     _say_what_stays(job, earlier, say)
     return table
 
@@ -194,6 +188,18 @@ def _score(job: _Job, done: dict[int, list[CoreScore]], progress: Progress) -> N
 def _in_order(job: _Job, done: dict[int, list[CoreScore]]) -> list[CoreScore]:
     by_id = sorted(done, key=list(job.range_los_m).__getitem__)
     return [done[i][k] for k in range(len(job.cores)) for i in by_id]
+
+
+@contextmanager
+def _rows_kept_if_cut_short(job: _Job, done: dict[int, list[CoreScore]]) -> Generator[None]:
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise KeyboardInterrupt(f"interrupted: {_keep_what_is_done(job, done)}") from None
+    except TronlabError as error:
+        if not done:
+            raise
+        raise ScoreError(f"{error}\n{_keep_what_is_done(job, done)}") from error
 
 
 def _keep_what_is_done(job: _Job, done: dict[int, list[CoreScore]]) -> str:

@@ -69,11 +69,11 @@ def save_results(
     Args:
         directory: Where to; it exists.
         scores: In the order of the table.
-        info: What ``score.json`` shall say; its ``cores`` are those of ``scores``.
+        info: What ``score.json`` shall say, with the ``cores`` of ``scores``.
         earlier: Results in ``directory`` whose cores stay, but for those in ``scores``.
 
     Returns:
-        The table of scores: cores of ``earlier`` in their places, then the new ones.
+        The table: cores of ``earlier`` in their places, then the new ones.
 
     Raises:
         ScoreError: They cannot be written; the old files are as they were.
@@ -89,7 +89,7 @@ def save_results(
             _write_matches(folder / MATCHES, scores)
             if kept:
                 _copy_matches(directory / MATCHES, folder / MATCHES, kept)
-            names = (SCORES, SUMMARY, MATCHES)
+            names = SCORES, SUMMARY, MATCHES
             _write_json(folder / INFO, {**info, "sha256": {n: _sha256(folder / n) for n in names}})
             with interrupts_held():
                 for name in (*names, INFO):
@@ -187,12 +187,7 @@ def earlier_results(
     try:
         results = load_results(directory)
     except ScoreError as error:
-        lost = [str(name) for name in info.get("cores", []) if name not in cores]
-        if lost:
-            raise ScoreError(
-                f"{directory}: the scores there are damaged, those of {', '.join(lost)} would be"
-                f" lost: score these cores too, or name another folder with --out ({error})"
-            ) from error
+        _check_none_lost(directory, info, cores=cores, damage=error)
         say(f"{directory}: the scores there are damaged and will be replaced ({error})")
         return None
     if not _is_of_shots(results.scores, range_los_m):
@@ -218,6 +213,17 @@ def _info_of_dataset(directory: Path, dataset_path: Path) -> dict[str, Any]:
             f" those of {dataset_path} with --out"
         )
     return info
+
+
+def _check_none_lost(
+    directory: Path, info: Mapping[str, Any], *, cores: Sequence[str], damage: ScoreError
+) -> None:
+    lost = [str(name) for name in info.get("cores", []) if name not in cores]
+    if lost:
+        raise ScoreError(
+            f"{directory}: the scores there are damaged, those of {', '.join(lost)} would be lost:"
+            f" score these cores too, or name another folder with --out ({damage})"
+        ) from damage
 
 
 def _is_of_shots(scores: pd.DataFrame, range_los_m: Mapping[int, float]) -> bool:

@@ -16,6 +16,7 @@ from tronlab.report.curves import (
 from tronlab.report.style import core_styles
 
 TWO_CORES = {"akaze": 0.5, "brisk": 0.4}
+CORE_SCALES = {**TWO_CORES, "akaze-refined": 0.03}
 BOTH = pytest.mark.parametrize("draw", [error_against_range, error_distribution])
 
 
@@ -44,13 +45,33 @@ def test_every_shot_with_a_pose_is_a_point_over_its_range(scores):
     axes = axes_of(error_against_range, scores)
     brisk = scores[(scores["core"] == "brisk") & (scores["status"] == "ok")]
     expected = brisk[["range_los_m", "position_error_pct_los"]].to_numpy()
-    np.testing.assert_array_equal(drawn(axes, 3), expected)
+    np.testing.assert_array_equal(drawn(axes, 2), expected)
     assert axes.get_yscale() == "log"
 
 
 def test_shots_without_a_pose_are_marked_at_their_range(scores):
-    missed = drawn(axes_of(error_against_range, scores), 5)
-    np.testing.assert_allclose(missed[:, 0], [4.0, 3.95])
+    axes = axes_of(error_against_range, scores)
+    np.testing.assert_allclose(drawn(axes, 2 * 4)[:, 0], [4.0, 3.95])
+    assert axes.get_xlabel().endswith("crosses: no pose")
+
+
+def test_crosses_of_two_cores_hide_neither_each_other_nor_an_error(scores_of, lose):
+    scores = scores_of(CORE_SCALES)
+    is_lost = scores["core"].isin(["akaze", "brisk"]) & (scores["shot_id"] < 30)
+    lose(scores, is_lost, "no_pose")
+    axes = axes_of(error_against_range, scores)
+    heights = [set(drawn(axes, i)[:, 1]) for i in (6, 7)]
+    assert all(len(rows) == 1 for rows in heights)
+    assert not heights[0] & heights[1]
+    lowest = scores["position_error_pct_los"].min()
+    lowest_on_axes = axes.transAxes.inverted().transform(axes.transData.transform((1.0, lowest)))
+    assert lowest_on_axes[1] > max(*heights[0], *heights[1])
+
+
+def test_without_missed_shots_there_are_no_crosses(scores_of):
+    axes = axes_of(error_against_range, scores_of(TWO_CORES))
+    assert len(axes.lines) == 4
+    assert "crosses" not in axes.get_xlabel()
 
 
 def test_distribution_is_over_all_shots(scores):
