@@ -283,8 +283,12 @@ def _paper_row(core: str, rows: pd.DataFrame) -> tuple[Cell, ...]:
         PAPER_CORES.get(core, MISSING),
         f"< {DATASET_0.mean_below_pct_los:g} %" if core in PAPER_CORES else MISSING,
         f"< {DATASET_0.max_below_pct_los:g} %" if core in PAPER_CORES else MISSING,
-        "yes" if is_within else "no",
+        _verdict(is_within) if core in PAPER_CORES else MISSING,
     )
+
+
+def _verdict(is_within: bool) -> str:
+    return "yes" if is_within else "no"
 
 
 def _with_reason(rows: pd.DataFrame, reasons: Reasons) -> pd.DataFrame:
