@@ -142,7 +142,7 @@ def database_indices(n_poses: int, *, n_views: int) -> tuple[int, ...]:
     """
     if n_views > n_poses:
         raise PlanError(
-            f"database.n_views is {n_views}, but the trajectory has only {n_poses} poses;"
+            f"{n_views} reference views, but the trajectory has only {n_poses} poses;"
             " ask for fewer views"
         )
     indices = np.rint(np.linspace(0, n_poses - 1, n_views)).astype(int)

@@ -134,7 +134,7 @@ def test_reference_views_are_distinct_and_spread(n_poses: int, data: st.DataObje
 
 
 def test_more_views_than_poses_are_refused() -> None:
-    with pytest.raises(PlanError, match="n_views is 3, but the trajectory has only 2 poses"):
+    with pytest.raises(PlanError, match="3 reference views, but the trajectory has only 2 poses"):
         database_indices(2, n_views=3)
 
 
