@@ -57,7 +57,6 @@ class Laboratory:
     rig: Rig
     trs_from: dict[str, RigidTransform]
     """``trs_from[name]`` is trs_from_name."""
-    rail_m: float
 
     @property
     def spec(self) -> LaboratorySpec:
@@ -90,7 +89,7 @@ def read_laboratory() -> Laboratory:
         "blender_cam": trs_from_cam * CAM_FROM_BLENDER_CAM,
         "board": rig.config.laboratory.board.trs_from_board.pose,
     }
-    return Laboratory(rig, trs_from, target.rail_m)
+    return Laboratory(rig, trs_from)
 
 
 def draw(path: Path) -> None:
@@ -111,7 +110,7 @@ def draw(path: Path) -> None:
     draw_camera_frames(cameras)
     draw_pixels(pixels)
     draw_legend(figure)
-    figure.savefig(path, dpi=110)
+    figure.savefig(path, dpi=100)
 
 
 def draw_room(axes: Axes, laboratory: Laboratory) -> None:
@@ -266,8 +265,8 @@ def point(axes: Axes, start: FloatArray, end: FloatArray, **style: Any) -> None:
 
 def label(axes: Axes, at: FloatArray, name: str, what: str, *, align: str = "left") -> None:
     """Write the name of a frame in bold, and below it what it is."""
-    write(axes, at, name, fontweight="bold", fontsize=13, ha=align, va="bottom")
     write(axes, at, what, fontsize=9.5, ha=align, va="top")
+    write(axes, at, name, fontweight="bold", fontsize=13, ha=align, va="bottom")
 
 
 def label_room(axes: Axes, laboratory: Laboratory) -> None:
@@ -278,12 +277,12 @@ def label_room(axes: Axes, laboratory: Laboratory) -> None:
         ("rail", "on the floor, runs to the model", (0.3, 0.0), "left"),
         ("base", "foot of the robot,\nmoves on the rail", (0.32, 0.2), "left"),
         ("board", "only for\ncalibration", (0.52, -0.02), "left"),
-        ("cam", "flange, tmac: see\nthe plate, enlarged", (-0.14, -0.62), "right"),
+        ("cam", "flange and tmac:\nsee at right", (0.37, 0.53), "left"),
     )
     for name, what, shift, align in notes:
         label(axes, ROOM.project(laboratory.origin(name)) + shift, name, what, align=align)
-    lamp = ROOM.project(laboratory.spec.lamp.p_trs_m)
-    label(axes, lamp + np.array([0.3, 0.0]), "lamp", "a point: only its place counts")
+    lamp = ROOM.project(laboratory.spec.lamp.p_trs_m) - np.array([0.22, 0.0])
+    label(axes, lamp, "lamp", "a point: only\nits place counts", align="right")
 
 
 def draw_arrow(
@@ -306,9 +305,9 @@ def draw_chain(axes: Axes, laboratory: Laboratory) -> None:
         ROOM.project(laboratory.origin(name)) for name in ("trs", "trk", "cam", "tmac")
     )
     draw_arrow(axes, trs, trk, bend=-0.42)
-    name_link(axes, (trs + trk) / 2 + np.array([1.5, 1.1]), "trs_from_trk")
+    name_link(axes, (trs + trk) / 2 + np.array([2.25, 0.86]), "trs_from_trk")
     draw_arrow(axes, trk, tmac, bend=-0.25)
-    name_link(axes, (trk + tmac) / 2 + np.array([0.62, -0.5]), "trk_from_tmac")
+    name_link(axes, (trk + tmac) / 2 + np.array([0.23, -0.52]), "trk_from_tmac")
     draw_arrow(axes, trs, cam, bend=0.15, dashed=True)
     name_link(axes, trs + (cam - trs) * 0.3 + np.array([0.0, -0.65]), "trs_from_cam")
 

@@ -27,6 +27,7 @@ from tronlab.errors import NotSettledError, TrackingLostError
 MAX_ATTEMPTS = 3
 RETRYABLE = (TrackingLostError, NotSettledError)
 _WORKER_PATIENCE_S = 5.0
+_LOOK_UP_S = 0.1
 
 Numbers: TypeAlias = Mapping[str, float | int]
 Step: TypeAlias = Callable[[], Numbers]
@@ -84,7 +85,7 @@ def run_shots(
 @contextmanager
 def _engine() -> Generator[RunEngine]:
     """Give an engine without signal handlers, and end its thread afterwards."""
-    engine = RunEngine({}, context_managers=[], during_task=DuringTask())
+    engine = RunEngine({}, context_managers=[], during_task=_WakefulWait())
     thread: threading.Thread = engine._th  # noqa: SLF001  # pyright: ignore[reportPrivateUsage]
     try:
         yield engine
@@ -92,6 +93,17 @@ def _engine() -> Generator[RunEngine]:
         engine.loop.call_soon_threadsafe(engine.loop.stop)
         thread.join()
         engine.loop.close()
+
+
+class _WakefulWait(DuringTask):
+    """Lets the calling thread look up while the engine works.
+
+    Python handles signals in that thread only, and a wait without end can sleep through a Ctrl-C.
+    """
+
+    def block(self, blocking_event: threading.Event) -> None:
+        while not blocking_event.wait(_LOOK_UP_S):
+            pass
 
 
 class _Status:
