@@ -27,7 +27,7 @@ types: .venv/ready
 
 .venv/ready: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[test]'
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[lab,test]'
 	touch $@
 
 $(OPENCV4)/ready: .venv/ready

@@ -27,6 +27,8 @@ class ConfigError(TronlabError):
         self.path = Path(path) if path is not None else None
         self.line = line
         self.key = key
+        self.parts: tuple[ConfigError, ...] = (self,)
+        """The single errors, where one stands for several."""
         super().__init__(": ".join([*self._where(), message]))
 
     def _where(self) -> list[str]:
@@ -47,7 +49,11 @@ class DeviceError(TronlabError):
 
 
 class NotConnectedError(DeviceError):
-    """The device cannot be reached, or was used before ``connect``."""
+    """The device cannot be reached, was lost, or was used before ``connect``."""
+
+
+class AccessDeniedError(NotConnectedError):
+    """The device answers, but another client holds it."""
 
 
 class DeviceTimeoutError(DeviceError, TimeoutError):
@@ -73,12 +79,27 @@ class DeviceFaultError(DeviceError):
         super().__init__(f"{message} (code {code})", device=device)
 
 
+class NotReadyError(DeviceFaultError):
+    """The device says it cannot yet: warming up, busy, not initialised. Retryable."""
+
+
+class SafetyError(DeviceError):
+    """The cell is not safe: a door is open, an emergency stop is pressed.
+
+    It is only read, never overridden; a campaign waits until a person has made the cell safe.
+    """
+
+
 class TrackingLostError(DeviceError):
     """The tracker has no target: beam broken, target out of view. Retryable."""
 
 
 class NotSettledError(DeviceError):
     """The measured pose still moves more than the campaign allows. Retryable."""
+
+
+class IncompleteFrameError(DeviceError):
+    """Parts of an image were lost on the way. Retryable."""
 
 
 class LimitError(DeviceError):

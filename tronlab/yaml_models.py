@@ -2,7 +2,7 @@
 
 import difflib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias, TypeVar
@@ -119,12 +119,39 @@ def parse_model(
     raise join_errors(sorted(problems, key=lambda problem: problem.line or 0)) from None
 
 
+def parse_mapping(values: Mapping[str, Any], model: type[M], *, key: str) -> M:
+    """Read values that were already taken from a YAML file as a model.
+
+    Args:
+        values: The values.
+        model: What they must be.
+        key: Where in the file they stand, dotted.
+
+    Raises:
+        ConfigError: As ``load_model``, but nobody knows the file and the lines here.
+    """
+    try:
+        return model.model_validate_json(json.dumps(values, default=str), strict=True)
+    except ValidationError as error:
+        schema = model.model_json_schema()
+        problems: list[ConfigError] = []
+        for item in map(dict[str, Any], error.errors()):
+            location: Location = item["loc"]
+            message = _MESSAGES.get(item["type"], _message_of_value)(
+                item, _known_keys(schema, location[:-1])
+            )
+            where = dotted((*key.split("."), *location))
+            problems.append(ConfigError(message, key=where))
+    raise join_errors(problems) from None
+
+
 def join_errors(errors: Sequence[ConfigError]) -> ConfigError:
     """Make one error of several: it has the place of the first and one line for each."""
     if len(errors) == 1:
         return errors[0]
     joined = ConfigError("", path=errors[0].path, line=errors[0].line, key=errors[0].key)
     joined.args = ("\n".join(str(error) for error in errors),)
+    joined.parts = tuple(errors)
     return joined
 
 

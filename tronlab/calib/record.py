@@ -6,7 +6,7 @@ names, every result its covariance, and the raw readings behind the results lie 
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +14,14 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from tronlab.calib.record_json import Fields, format_json, parse_json
-from tronlab.devices.readings import PoseReading
+from tronlab.devices.readings import DeviceIdentity, PoseReading
 from tronlab.errors import CalibrationError
 from tronlab.geometry.camera import CameraModel
 from tronlab.geometry.poses import FloatArray, xyz_quat_from_pose
 from tronlab.geometry.uncertainty import compose_covariance
 
 SCHEMA = "tronlab-calibration"
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 CAMERA_PARAMETERS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3")
 """Order of rows and columns of ``camera_covariance``."""
 IDENTIFIED_DEVICES = ("camera", "tracker", "tmac")
@@ -37,8 +37,8 @@ class CalibrationRecord:
     """ISO 8601, ends in Z."""
     software: dict[str, str]
     """Versions of tronlab, Python and the libraries that shape the numbers."""
-    devices: dict[str, str]
-    """Identity ``maker model serial firmware`` of camera, tracker and tmac."""
+    devices: dict[str, DeviceIdentity]
+    """Of camera, tracker and tmac."""
     camera: CameraModel
     camera_covariance: FloatArray
     """Of ``CAMERA_PARAMETERS``, shape (9, 9)."""
@@ -86,7 +86,7 @@ class CalibrationRecord:
             rig_name=fields.text("rig_name"),
             created_utc=fields.text("created_utc"),
             software=fields.texts("software"),
-            devices=fields.texts("devices", needed=IDENTIFIED_DEVICES),
+            devices=fields.identities("devices", needed=IDENTIFIED_DEVICES),
             camera=fields.camera("camera"),
             camera_covariance=fields.covariance("camera_covariance", n=len(CAMERA_PARAMETERS)),
             trs_from_trk=fields.pose("trs_from_trk", parent="trs", child="trk"),
@@ -108,7 +108,7 @@ class CalibrationRecord:
                 "rig_name": self.rig_name,
                 "created_utc": self.created_utc,
                 "software": self.software,
-                "devices": self.devices,
+                "devices": {name: asdict(device) for name, device in self.devices.items()},
                 "statistics": self.statistics,
                 "camera": self.camera.to_dict(),
                 "camera_covariance_of": list(CAMERA_PARAMETERS),
@@ -172,11 +172,11 @@ class CalibrationRecord:
                 "\nname this rig's record, or make one: tronlab calibrate"
             )
 
-    def check_devices(self, identities: Mapping[str, str]) -> None:
+    def check_devices(self, identities: Mapping[str, DeviceIdentity]) -> None:
         """Refuse to serve devices other than those it was made with.
 
         Args:
-            identities: ``maker model serial firmware`` of at least camera, tracker and tmac.
+            identities: Of at least camera, tracker and tmac.
 
         Raises:
             CalibrationError: One of them was exchanged; all that were are named.
@@ -184,7 +184,7 @@ class CalibrationRecord:
         exchanged = [
             f"{name}: record '{self.devices[name]}', now '{identities.get(name, 'none')}'"
             for name in IDENTIFIED_DEVICES
-            if identities.get(name) != self.devices[name]
+            if name not in identities or not identities[name].is_same_device(self.devices[name])
         ]
         if exchanged:
             raise CalibrationError(

@@ -2,11 +2,13 @@
 
 import json
 from collections.abc import Sequence
+from dataclasses import fields as dataclass_fields
 from typing import Any, NoReturn, cast
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from tronlab.devices.readings import DeviceIdentity
 from tronlab.errors import CalibrationError, FrameError
 from tronlab.geometry.camera import CameraModel
 from tronlab.geometry.poses import FloatArray, pose_from_xyz_quat
@@ -99,11 +101,22 @@ class Fields:
             self._fail(key, f"is a {type(value).__name__}, expected a mapping")
         return cast("dict[str, Any]", value)
 
+    def identities(self, key: str, *, needed: Sequence[str]) -> dict[str, DeviceIdentity]:
+        """Give identities of devices, at least of the ``needed`` ones."""
+        parts = [field.name for field in dataclass_fields(DeviceIdentity)]
+        for name in needed:
+            self.mapping(f"{key}.{name}")
+        return {
+            name: DeviceIdentity(*(texts[part] for part in parts))
+            for name in self.mapping(key)
+            for texts in (self.texts(f"{key}.{name}", needed=parts),)
+        }
+
     def texts(self, key: str, *, needed: Sequence[str] = ()) -> dict[str, str]:
         """Give a mapping of texts that has at least the ``needed`` keys."""
         values = self.mapping(key)
         for name in needed:
-            self.text(f"{key}.{name}")
+            self.get(f"{key}.{name}")
         for name, value in values.items():
             if not isinstance(value, str):
                 self._fail(f"{key}.{name}", f"is {value!r}, expected a text")

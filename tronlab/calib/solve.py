@@ -13,6 +13,7 @@ from tronlab.calib.intrinsics import IntrinsicsSolution, solve_intrinsics
 from tronlab.calib.measurements import Measurements
 from tronlab.calib.record import CalibrationRecord
 from tronlab.calib.three_point import FrameSolution, point_in_trs, solve_frame
+from tronlab.devices.readings import DeviceIdentity
 from tronlab.errors import CalibrationError
 from tronlab.geometry.poses import FloatArray
 
@@ -27,7 +28,7 @@ def solve_calibration(
     measurements: Measurements,
     *,
     rig_name: str,
-    devices: Mapping[str, str],
+    devices: Mapping[str, DeviceIdentity],
     software: Mapping[str, str],
 ) -> CalibrationRecord:
     """Solve for frame, camera, hand-eye transform and lamp.
@@ -35,7 +36,7 @@ def solve_calibration(
     Args:
         measurements: What was measured.
         rig_name: The rig it was measured on.
-        devices: Identity ``maker model serial firmware`` of camera, tracker and tmac.
+        devices: Identities of camera, tracker and tmac.
         software: Versions of tronlab, Python and the libraries that shape the numbers.
 
     Raises:

@@ -81,9 +81,9 @@ def calibrate(
         DeviceError: A device failed.
     """
     identities = {
-        "camera": str(devices.camera.identify()),
-        "tracker": str(devices.tracker.identify()),
-        "tmac": str(devices.tracker.identify_target()),
+        "camera": devices.camera.identify(),
+        "tracker": devices.tracker.identify(),
+        "tmac": devices.tracker.identify_target(),
     }
     measurements = measure(devices, laboratory, settings=settings, progress=progress)
     progress.announce(f"solving from {len(measurements.stations)} stations")

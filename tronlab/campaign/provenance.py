@@ -5,6 +5,7 @@ import subprocess
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from tronlab.devices.readings import DeviceIdentity
 from tronlab.devices.registry import Devices
 
 _PACKAGES = ("numpy", "scipy", "h5py", "numba", "bluesky", "pydantic")
@@ -34,10 +35,10 @@ def software_versions() -> dict[str, str]:
     return versions
 
 
-def device_identities(devices: Devices) -> dict[str, str]:
-    """Ask every device, and the tracker for its T-MAC, as ``maker model serial firmware``."""
-    identities = {device.name: str(device.identify()) for device in devices.all()}
-    identities["tmac"] = str(devices.tracker.identify_target())
+def device_identities(devices: Devices) -> dict[str, DeviceIdentity]:
+    """Ask every device who it is, and the tracker for its T-MAC."""
+    identities = {device.name: device.identify() for device in devices.all()}
+    identities["tmac"] = devices.tracker.identify_target()
     return identities
 
 

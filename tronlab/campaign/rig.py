@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from pydantic import Field
 
@@ -15,6 +15,9 @@ from tronlab.terrain.config import TerrainConfig
 from tronlab.terrain.heightmap import HeightMap
 from tronlab.twin.config import WorldConfig
 from tronlab.yaml_models import Model, join_errors, line_of, parse_model, read_text
+
+if TYPE_CHECKING:
+    from tronlab.twin.world import WorldSetup
 
 
 class DeviceConfig(Model):
@@ -93,7 +96,7 @@ class Rig:
         Raises:
             ConfigError: A driver is unknown or refuses its options.
         """
-        world = self._world(load_heightmap or self.load_heightmap)
+        world = self.world_setup(load_heightmap)
         shared: dict[str, object] = {}
         devices: dict[str, Device] = {}
         errors: list[ConfigError] = []
@@ -104,18 +107,26 @@ class Rig:
                 options=config.options,
                 seed=seed,
                 world=world,
+                base_dir=self.path.parent,
                 session=session,
                 shared=shared,
             )
             try:
                 devices[kind] = make_device(config.driver, kind, context)
             except ConfigError as error:
-                errors.append(self._placed(error, kind))
+                errors.extend(self._placed(part, kind) for part in error.parts)
         if errors:
             raise join_errors(errors)
         return Devices(**devices)  # pyright: ignore[reportArgumentType]  # make_device checked them
 
-    def _world(self, load_heightmap: Callable[[], HeightMap]) -> object | None:
+    def world_setup(
+        self, load_heightmap: Callable[[], HeightMap] | None = None
+    ) -> "WorldSetup | None":
+        """Give what the simulated laboratory is made from; None if the rig describes none.
+
+        Args:
+            load_heightmap: Where its camera gets the terrain; by default ``load_heightmap``.
+        """
         if self.config.world is None:
             return None
         from tronlab.twin.world import WorldSetup
@@ -123,7 +134,7 @@ class Rig:
         return WorldSetup(
             config=self.config.world,
             laboratory=self.config.laboratory,
-            load_heightmap=load_heightmap,
+            load_heightmap=load_heightmap or self.load_heightmap,
         )
 
     def _placed(self, error: ConfigError, kind: str) -> ConfigError:

@@ -209,7 +209,7 @@ def _check_devices(job: _Job, devices: Devices) -> Provenance:
         calibration_json=job.calibration_text,
         seed=job.seed,
         software=software_versions(),
-        devices=identities,
+        devices={name: str(identity) for name, identity in identities.items()},
         plan_sha256=job.plan.sha256,
         n_shots_planned=len(job.plan.shots),
         camera=job.calibration.camera,

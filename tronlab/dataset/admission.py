@@ -81,7 +81,7 @@ def _values(path: Path, shot: ShotRecord) -> Iterator[tuple[str, NDArray[Any]]]:
             raise DatasetError(f"{where}: {given!r}: {error}") from error
         if value.shape != column.shape:
             raise DatasetError(f"{where}: shape is {value.shape}, expected {column.shape}")
-        if value.dtype.kind == "f" and not np.isfinite(value).all():
+        if not column.is_optional and value.dtype.kind == "f" and not np.isfinite(value).all():
             raise DatasetError(f"{where}: is not finite: {value.tolist()}")
         if value.dtype.kind == "S" and value.item() != given:
             raise DatasetError(

@@ -1,5 +1,6 @@
 """Reading a dataset; whatever is wrong with the file becomes one clear error."""
 
+import math
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, cast, get_args
@@ -11,7 +12,7 @@ from scipy.spatial.transform import RigidTransform
 from tronlab.dataset import schema
 from tronlab.dataset.opening import open_dataset
 from tronlab.dataset.records import Provenance, ReferenceView, ShotRecord, Truth
-from tronlab.devices.readings import Frame, PoseReading, RobotReading, RoomReading
+from tronlab.devices.readings import AirReading, Frame, PoseReading, RobotReading, RoomReading
 from tronlab.errors import CalibrationError, DatasetError, FrameError, IntegrityError
 from tronlab.geometry.camera import CameraModel
 from tronlab.geometry.poses import pose_from_xyz_quat
@@ -109,6 +110,14 @@ class Dataset:
             return 0
         return len(self._object(f"{schema.REFERENCES}/view_id"))
 
+    def columns(self) -> tuple[schema.ShotColumn, ...]:
+        """Give the columns of the layout that this file has: older ones lack some optional ones."""
+        return tuple(
+            column
+            for column in schema.COLUMNS
+            if not column.is_optional or column.path in self._file
+        )
+
     def image(self, i: int) -> NDArray[np.uint8] | NDArray[np.uint16]:
         """Read the image of shot ``i``, shape (rows, columns), and verify its checksum."""
         return self._stacked(schema.IMAGE, schema.IMAGE_CRC32, i)
@@ -159,6 +168,7 @@ class Dataset:
                 trk_from_tmac=self._pose(f"{schema.TRACKER}/trk_from_tmac", i),
                 covariance=self._value(f"{schema.TRACKER}/trk_from_tmac_covariance", i),
                 time_s=float(self._value(f"{schema.TRACKER}/time_s", i)),
+                air=self._air(i),
             ),
             room=self._room(i),
             frame=self._frame(i),
@@ -205,6 +215,20 @@ class Dataset:
             time_s=float(self._value(f"{schema.ROOM}/time_s", i)),
         )
 
+    def _air(self, i: int) -> AirReading | None:
+        values = [
+            self._known(f"{schema.TRACKER}/{name}", i)
+            for name in ("air_temperature_k", "air_pressure_pa", "relative_humidity")
+        ]
+        if any(value is None for value in values):
+            return None
+        return AirReading(*cast("list[float]", values))
+
+    def _known(self, path: str, i: int) -> float | None:
+        """Read an optional value; None if the file lacks it or it was not known."""
+        value = float(self._value(path, i)) if path in self._file else math.nan
+        return None if math.isnan(value) else value
+
     def _frame(self, i: int) -> Frame:
         return Frame(
             image=self.image(i),
@@ -213,6 +237,7 @@ class Dataset:
             gain_db=float(self._value(f"{schema.CAMERA}/gain_db", i)),
             frame_id=int(self._value(f"{schema.CAMERA}/frame_id", i)),
             time_s=float(self._value(f"{schema.CAMERA}/time_s", i)),
+            device_time_s=self._known(f"{schema.CAMERA}/device_time_s", i),
         )
 
     def _truth(self, i: int) -> Truth:

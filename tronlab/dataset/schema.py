@@ -5,6 +5,7 @@ of ``default`` attributes leads a viewer to the images, and every number says it
 ``docs/reference/dataset.md`` describes it for people.
 """
 
+import math
 import zlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -17,7 +18,7 @@ from scipy.spatial.transform import RigidTransform
 from tronlab.dataset.records import ShotRecord
 from tronlab.geometry.poses import FloatArray, xyz_quat_from_pose
 
-SCHEMA_VERSION: Final = (1, 0)
+SCHEMA_VERSION: Final = (1, 1)
 """Major and minor. A reader refuses a higher major; a higher minor only adds to the layout."""
 
 SCHEMA_ATTRIBUTE: Final = "tronlab_schema"
@@ -80,6 +81,8 @@ class Column:
     shape: tuple[int, ...] = ()
     """Of one row."""
     attributes: Mapping[str, str] = field(default_factory=dict[str, str])
+    is_optional: bool = False
+    """Not every device says it: NaN where it is not known, and files of layout 1.0 lack it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +130,18 @@ def _frames(path: str) -> tuple[str, str]:
     return parent, child
 
 
+def _optional(path: str, units: str, value_of: Callable[[ShotRecord], float | None]) -> ShotColumn:
+    def number(shot: ShotRecord) -> float:
+        value = value_of(shot)
+        return math.nan if value is None else value
+
+    return ShotColumn(path, units, is_optional=True, value_of=number)
+
+
+def _air(shot: ShotRecord, quantity: str) -> float | None:
+    return None if shot.tracker.air is None else getattr(shot.tracker.air, quantity)
+
+
 COLUMNS: Final[tuple[ShotColumn, ...]] = (
     ShotColumn(SHOT_ID, "1", "<i8", value_of=lambda s: s.shot_id),
     ShotColumn("entry/shots/attempt", "1", "<i8", value_of=lambda s: s.attempt),
@@ -157,6 +172,10 @@ COLUMNS: Final[tuple[ShotColumn, ...]] = (
     _covariance(f"{TRUTH}/trs_from_cam_covariance", lambda s: s.truth.covariance),
     ShotColumn(f"{TRUTH}/range_los_m", "m", value_of=lambda s: s.truth.range_los_m),
     ShotColumn(f"{TRUTH}/usable_fraction", "1", value_of=lambda s: s.truth.usable_fraction),
+    _optional(f"{TRACKER}/air_temperature_k", "K", lambda s: _air(s, "temperature_k")),
+    _optional(f"{TRACKER}/air_pressure_pa", "Pa", lambda s: _air(s, "pressure_pa")),
+    _optional(f"{TRACKER}/relative_humidity", "1", lambda s: _air(s, "relative_humidity")),
+    _optional(f"{CAMERA}/device_time_s", "s", lambda s: s.frame.device_time_s),
 )
 """Every value of a shot besides image and mask, in the order their checksum takes them."""
 

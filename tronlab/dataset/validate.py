@@ -69,7 +69,7 @@ def _shot_ids(dataset: Dataset) -> Iterator[str]:
 
 
 def _columns(dataset: Dataset) -> Iterator[str]:
-    for column in schema.COLUMNS:
+    for column in dataset.columns():
         rows = dataset.rows(column.path)
         name = column.path.removeprefix("entry/")
         if rows.shape != (dataset.n_shots, *column.shape):
@@ -83,7 +83,7 @@ def _columns(dataset: Dataset) -> Iterator[str]:
                 ~_is_covariance(rows),
                 "not a covariance (symmetric, positive semidefinite)",
             )
-        elif rows.dtype.kind == "f":
+        elif rows.dtype.kind == "f" and not column.is_optional:
             yield from _at_shots(dataset, name, ~np.isfinite(rows), "not finite")
 
 
@@ -153,7 +153,7 @@ def _calibration(text: str) -> dict[str, Any]:
 
 
 def _shots(dataset: Dataset) -> Iterator[str]:
-    values = [dataset.rows(column.path) for column in schema.COLUMNS]
+    values = [dataset.rows(column.path) for column in dataset.columns()]
     checksums = dataset.rows(schema.VALUES_CRC32)
     fractions = dataset.rows(f"{schema.TRUTH}/usable_fraction")
     for i, shot_id in enumerate(dataset.shot_ids):

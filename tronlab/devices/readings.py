@@ -18,9 +18,25 @@ class DeviceIdentity:
     serial: str
     firmware: str
 
+    def is_same_device(self, other: "DeviceIdentity") -> bool:
+        """Tell whether both name one device: by serial number, or by model if neither has one."""
+        if self.serial or other.serial:
+            return self.serial == other.serial
+        return self.model == other.model
+
     def __str__(self) -> str:
         """Give ``maker model serial firmware``; what the device does not say is left out."""
         return " ".join(filter(None, (self.maker, self.model, self.serial, self.firmware)))
+
+
+@dataclass(frozen=True, slots=True)
+class AirReading:
+    """The air a device measures through."""
+
+    temperature_k: float
+    pressure_pa: float
+    relative_humidity: float
+    """0 to 1."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +62,8 @@ class PoseReading:
     """Of (rotation vector, translation) in trk, (6, 6), rad and m; see geometry.uncertainty."""
     time_s: float
     """Middle of the measurement, seconds since 1970 UTC."""
+    air: AirReading | None = None
+    """The air the tracker corrected its distance for; None if it does not say."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +97,8 @@ class Frame:
     """The camera's own count of frames; never used to pair images with poses."""
     time_s: float
     """Middle of the exposure, seconds since 1970 UTC."""
+    device_time_s: float | None = None
+    """Time stamp of the camera's own clock, whose zero is anywhere; None if it has none."""
 
 
 @dataclass(frozen=True, slots=True)

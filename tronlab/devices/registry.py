@@ -8,10 +8,14 @@ from collections.abc import Callable, Generator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from typing import Any, TypeVar
+
+from pydantic import BaseModel
 
 from tronlab.devices.protocols import Camera, Device, Operator, PoseTracker, Robot, RoomIO
 from tronlab.errors import ConfigError, TronlabError
+from tronlab.yaml_models import parse_mapping
 
 ENTRY_POINT_GROUP = "tronlab.devices"
 
@@ -25,6 +29,7 @@ KINDS: Mapping[str, Any] = {
 """The devices a rig has, and the Protocol each keeps."""
 
 T = TypeVar("T")
+M = TypeVar("M", bound=BaseModel)
 
 
 @dataclass
@@ -39,10 +44,20 @@ class DeviceContext:
     """Seed of every random number of this session; hardware ignores it."""
     world: object | None
     """Description of the simulated world, for devices that are views of it."""
+    base_dir: Path = Path()
+    """Folder of the rig file: relative paths in the options start there."""
     session: str = "run"
     """What the devices are opened for: sessions of one seed but another name have other noise."""
     shared: dict[str, object] = field(default_factory=dict[str, object])
     """One for all devices of a rig: simulated devices keep their common world here."""
+
+    def parse_options(self, model: type[M]) -> M:
+        """Read the options as a driver's own model.
+
+        Raises:
+            ConfigError: They do not fit; one line a problem, each with key and what is allowed.
+        """
+        return parse_mapping(self.options, model, key=f"devices.{self.name}.options")
 
     def share(self, key: str, make: Callable[[], T]) -> T:
         """Give the object of that key, made by the first device that asks."""

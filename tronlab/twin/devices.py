@@ -1,6 +1,8 @@
 """The simulated laboratory's devices: each sees the one world through its Protocol, and no more."""
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import TypeVar
 
 import numpy as np
 from numpy.random import Generator
@@ -17,17 +19,18 @@ from tronlab.devices.readings import (
 )
 from tronlab.devices.registry import DeviceContext
 from tronlab.errors import ConfigError, DeviceTimeoutError, LimitError, NotConnectedError
-from tronlab.geometry.poses import FloatArray
-from tronlab.geometry.uncertainty import perturb
+from tronlab.twin.instruments import CameraOptics, Positioning, TrackerOptics, noise_of
 from tronlab.twin.reach import check_reach
-from tronlab.twin.sensor import HIGHEST_CODE, blur, digitise, expose
-from tronlab.twin.truth import deviate, named_rng
+from tronlab.twin.sensor import HIGHEST_CODE
+from tronlab.twin.truth import deviate
 from tronlab.twin.world import World, WorldSetup
 
 WORLD_KEY = "tronlab.twin.world"
 """Where the devices of a rig keep their common world in ``DeviceContext.shared``."""
 
 _FIRMWARE = "twin-1"
+
+T = TypeVar("T")
 
 
 class _View(ABC):
@@ -38,9 +41,7 @@ class _View(ABC):
     def __init__(self, context: DeviceContext) -> None:
         self._name = context.name
         self._world = _common_world(context)
-        self._rng: Generator = named_rng(
-            context.seed, f"noise of {self._kind} in {context.session}"
-        )
+        self._rng: Generator = noise_of(self._kind, seed=context.seed, session=context.session)
         self._is_connected = False
 
     @property
@@ -87,7 +88,7 @@ class TwinRobot(_View):
 
     def __init__(self, context: DeviceContext) -> None:
         super().__init__(context)
-        self._rail_error_m = 0.0
+        self._positioning = Positioning(self._world, self._rng)
 
     def check(self, target: RobotTarget) -> None:
         """Return if the target can be reached."""
@@ -103,7 +104,7 @@ class TwinRobot(_View):
             raise DeviceTimeoutError(
                 f"move: takes {duration_s:.1f} s, allowed {timeout_s:.1f} s", device=self.name
             )
-        self._world.stand_robot(target, actual=self._actual(target))
+        self._world.stand_robot(target, actual=self._positioning.actual(target))
         self._world.clock.advance(duration_s)
 
     def read(self) -> RobotReading:
@@ -137,25 +138,15 @@ class TwinRobot(_View):
             float(arm_m) / config.arm_speed_m_per_s,
         )
 
-    def _actual(self, target: RobotTarget) -> RobotTarget:
-        """Give where the robot really comes to stand."""
-        config = self._world.config.robot
-        rail, *arm = self._rng.standard_normal(7)
-        step_m = target.rail_m - self._world.robot_at.rail_m
-        if step_m != 0.0:  # a rail that does not move keeps its error
-            backlash_m = config.rail_backlash_m if step_m < 0.0 else 0.0
-            self._rail_error_m = config.rail_repeatability_sigma_m * rail + backlash_m
-        sigma = np.repeat([config.repeatability_sigma_rad, config.repeatability_sigma_m], 3)
-        return RobotTarget(
-            rail_m=target.rail_m + self._rail_error_m,
-            base_from_flange=perturb(target.base_from_flange, sigma * np.array(arm)),
-        )
-
 
 class TwinTracker(_View):
     """The laser tracker; it sees everything from where it stands."""
 
     _kind = "tracker"
+
+    def __init__(self, context: DeviceContext) -> None:
+        super().__init__(context)
+        self._optics = TrackerOptics(self._world, self._rng)
 
     def identify_target(self) -> DeviceIdentity:
         """Read which T-MAC the tracker sees."""
@@ -165,53 +156,32 @@ class TwinTracker(_View):
     def measure_point(self, target: str, *, window_s: float) -> PointReading:
         """Measure the named reflector."""
         self._begin("measure_point")
-        targets = self._world.laboratory.p_targets_trs_m
+        targets = self._optics.reflectors
         if target not in targets:
             raise LimitError(
                 f"measure_point: no reflector '{target}'; reflectors: {', '.join(targets)}",
                 device=self.name,
             )
-        time_s = self._pass_window(window_s, call="measure_point")
-        p_trk = self._world.laboratory.trk_from_trs.apply(targets[target])
-        sigma_m = self._sigma_m(p_trk)
-        return PointReading(
-            target=target,
-            p_trk_m=p_trk + sigma_m * self._rng.standard_normal(3),
-            covariance_m2=sigma_m**2 * np.eye(3),
-            time_s=time_s,
-        )
+        return self._observe(lambda: self._optics.point(target), window_s, call="measure_point")
 
     def measure_pose(self, *, window_s: float) -> PoseReading:
         """Measure the T-MAC."""
         self._begin("measure_pose")
-        time_s = self._pass_window(window_s, call="measure_pose")
-        trk_from_tmac = self._world.laboratory.trk_from_trs * self._world.truth.trs_from_tmac
-        rotation_sigma = np.radians(self._world.config.tracker.rotation_sigma_deg) / np.sqrt(3.0)
-        sigma = np.repeat([rotation_sigma, self._sigma_m(trk_from_tmac.translation)], 3)
-        return PoseReading(
-            trk_from_tmac=perturb(trk_from_tmac, sigma * self._rng.standard_normal(6)),
-            covariance=np.diag(sigma**2),
-            time_s=time_s,
-        )
+        return self._observe(self._optics.pose, window_s, call="measure_pose")
 
     def _maker_and_model(self) -> tuple[str, str]:
         return "Leica", "AT901-MR"
 
-    def _sigma_m(self, p_trk: FloatArray) -> float:
-        config = self._world.config.tracker
-        return config.coordinate_sigma_m + config.coordinate_sigma_m_per_m * float(
-            np.linalg.norm(p_trk)
-        )
-
-    def _pass_window(self, window_s: float, *, call: str) -> float:
-        """Let the window pass and give its middle."""
+    def _observe(self, look: Callable[[], T], window_s: float, *, call: str) -> T:
+        """Look in the middle of the window."""
         if not window_s > 0:
             raise LimitError(
                 f"{call}: window is {window_s} s, must be more than 0", device=self.name
             )
-        start_s = self._world.clock.now_s
-        self._world.clock.advance(window_s)
-        return start_s + window_s / 2
+        self._world.clock.advance(window_s / 2)
+        reading = look()
+        self._world.clock.advance(window_s / 2)
+        return reading
 
 
 class TwinCamera(_View):
@@ -221,6 +191,7 @@ class TwinCamera(_View):
 
     def __init__(self, context: DeviceContext) -> None:
         super().__init__(context)
+        self._optics = CameraOptics(self._world, self._rng)
         self._exposure_s = 0.02
         self._gain_db = 0.0
         self._pixel_format = "Mono8"
@@ -255,20 +226,21 @@ class TwinCamera(_View):
                 f"grab: exposure and read-out take {duration_s:.3f} s, allowed {timeout_s:.3f} s",
                 device=self.name,
             )
-        seen = blur(self._world.radiance(), sigma_px=self._world.config.lens.psf_sigma_px)
-        electrons = expose(seen, sensor, exposure_s=self._exposure_s, rng=self._rng)
-        time_s = clock.now_s + self._exposure_s / 2
-        clock.advance(duration_s)
+        clock.advance(self._exposure_s / 2)
+        time_s = clock.now_s
+        image = self._optics.image(
+            exposure_s=self._exposure_s, gain_db=self._gain_db, pixel_format=self._pixel_format
+        )
+        clock.advance(duration_s - self._exposure_s / 2)
         self._n_frames += 1
         return Frame(
-            image=digitise(
-                electrons, sensor, gain_db=self._gain_db, pixel_format=self._pixel_format
-            ),
+            image=image,
             pixel_format=self._pixel_format,
             exposure_s=self._exposure_s,
             gain_db=self._gain_db,
             frame_id=self._n_frames,
             time_s=time_s,
+            device_time_s=time_s,
         )
 
     def _maker_and_model(self) -> tuple[str, str]:
@@ -293,20 +265,20 @@ class TwinRoom(_View):
     def read(self) -> RoomReading:
         """Read the state of the room."""
         self._begin("read")
-        room = self._world.config.room
+        state = self._world.state.read()
         return RoomReading(
-            air_temperature_k=room.air_temperature_k,
-            air_pressure_pa=room.air_pressure_pa,
-            relative_humidity=room.relative_humidity,
-            is_door_closed=room.is_door_closed,
-            is_lamp_on=self._world.is_lamp_on,
+            air_temperature_k=state.air_temperature_k,
+            air_pressure_pa=state.air_pressure_pa,
+            relative_humidity=state.relative_humidity,
+            is_door_closed=state.is_door_closed,
+            is_lamp_on=state.lamp_level > 0.0,
             time_s=self._world.clock.now_s,
         )
 
     def switch_lamp(self, *, on: bool) -> None:
         """Switch the lamp."""
         self._begin("switch_lamp")
-        self._world.is_lamp_on = on
+        self._world.state.change(lamp_level=1.0 if on else 0.0)
 
     def _maker_and_model(self) -> tuple[str, str]:
         return "tronlab", "room"

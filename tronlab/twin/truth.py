@@ -27,7 +27,10 @@ class TrueLaboratory:
     trs_from_rail: RigidTransform
     flange_from_cam: RigidTransform
     flange_from_tmac: RigidTransform
+    sensor: CameraModel
+    """Camera with the whole sensor."""
     camera: CameraModel
+    """Camera with the region that the rig reads out."""
     p_targets_trs_m: Mapping[str, FloatArray]
     """Centre of every reflector by name, shape (3,), frame trs."""
     p_light_trs_m: FloatArray
@@ -75,6 +78,7 @@ def build_laboratory(spec: LaboratorySpec, config: WorldConfig) -> TrueLaborator
     p_targets = _true_reflectors(
         spec.reflectors, config.tracker.reflector_deviation_m, named_rng(seed, "reflectors")
     )
+    sensor = _true_sensor(spec.camera, config.lens, named_rng(seed, "lens"))
     p_targets[LAMP_TARGET] = _housing_target(p_light, config.lamp, named_rng(seed, "housing"))
     return TrueLaboratory(
         trk_from_trs=_place_tracker(spec, config, named_rng(seed, "tracker")).inv(),
@@ -91,7 +95,8 @@ def build_laboratory(spec: LaboratorySpec, config: WorldConfig) -> TrueLaborator
             config.mounting.tmac_deviation,
             named_rng(seed, "tmac mounting"),
         ),
-        camera=_true_camera(spec.camera, config.lens, named_rng(seed, "lens")),
+        sensor=sensor,
+        camera=read_out(sensor, spec.camera),
         p_targets_trs_m=p_targets,
         p_light_trs_m=p_light,
     )
@@ -101,12 +106,14 @@ def serial_number(spec: LaboratorySpec, config: WorldConfig) -> str:
     """Give a serial number that two laboratories share only if they are built alike.
 
     Scripted faults leave it as it is: they happen to a laboratory and do not make another one.
+    It is a number below 2^31, as trackers have.
     """
     parts = {
         "laboratory": spec.model_dump(mode="json"),
         "world": config.model_dump(mode="json", exclude={"faults"}),
     }
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()[:12]
+    digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).digest()
+    return str(int.from_bytes(digest[:4]) >> 1)
 
 
 def _true_reflectors(
@@ -138,8 +145,18 @@ def _place_tracker(spec: LaboratorySpec, config: WorldConfig, rng: Generator) ->
     return RigidTransform.from_components(p_trs, upright * heading * tilt)
 
 
-def _true_camera(spec: CameraSpec, lens: LensConfig, rng: Generator) -> CameraModel:
-    """Put the lens in front of the whole sensor, then read out the region."""
+def read_out(sensor: CameraModel, region: CameraSpec) -> CameraModel:
+    """Give the camera whose image is a region of the sensor."""
+    return sensor.cropped(
+        left_px=region.left_px,
+        top_px=region.top_px,
+        width_px=region.width_px,
+        height_px=region.height_px,
+    )
+
+
+def _true_sensor(spec: CameraSpec, lens: LensConfig, rng: Generator) -> CameraModel:
+    """Put the lens in front of the whole sensor."""
     focal, aspect, *centre = rng.standard_normal(4)
     fx = lens.focal_length_m / spec.pixel_pitch_m * (1.0 + lens.focal_length_sigma * focal)
     draws = rng.standard_normal(5)
@@ -147,7 +164,7 @@ def _true_camera(spec: CameraSpec, lens: LensConfig, rng: Generator) -> CameraMo
         float(mean + sigma * draw)
         for mean, sigma, draw in zip(lens.distortion, lens.distortion_sigma, draws, strict=True)
     )
-    sensor = CameraModel(
+    return CameraModel(
         width_px=spec.sensor_width_px,
         height_px=spec.sensor_height_px,
         fx_px=float(fx),
@@ -155,10 +172,4 @@ def _true_camera(spec: CameraSpec, lens: LensConfig, rng: Generator) -> CameraMo
         cx_px=float((spec.sensor_width_px - 1) / 2 + lens.principal_point_sigma_px * centre[0]),
         cy_px=float((spec.sensor_height_px - 1) / 2 + lens.principal_point_sigma_px * centre[1]),
         distortion=(k1, k2, p1, p2, k3),
-    )
-    return sensor.cropped(
-        left_px=spec.left_px,
-        top_px=spec.top_px,
-        width_px=spec.width_px,
-        height_px=spec.height_px,
     )

@@ -1,5 +1,6 @@
 """The one world behind all simulated devices: what is true, and what light reaches the camera."""
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
@@ -8,16 +9,24 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from tronlab.devices.laboratory import LaboratorySpec
+from tronlab.devices.laboratory import CameraSpec, LaboratorySpec
 from tronlab.devices.readings import RobotTarget
-from tronlab.geometry.poses import FloatArray, pose_along_boresight
+from tronlab.geometry.camera import CameraModel
+from tronlab.geometry.poses import FloatArray, pose_along_boresight, pose_from_xyz_quat
 from tronlab.render.rays import centre_rays
 from tronlab.render.renderer import Lamp, Renderer
 from tronlab.terrain.heightmap import HeightMap
 from tronlab.twin.board import board_from_print, light_on_board, print_board
 from tronlab.twin.config import WorldConfig
 from tronlab.twin.faults import FaultScript
-from tronlab.twin.truth import TrueLaboratory, Truth, build_laboratory, serial_number
+from tronlab.twin.state import LocalState, RobotState, StateStore, WorldState, numbers_of
+from tronlab.twin.truth import (
+    TrueLaboratory,
+    Truth,
+    build_laboratory,
+    read_out,
+    serial_number,
+)
 
 _PARKED_HEIGHT_M = 1.2
 
@@ -61,6 +70,19 @@ class SimulatedClock:
         self._now_s += duration_s
 
 
+class WallClock:
+    """The computer's time: letting it pass means waiting."""
+
+    @property
+    def now_s(self) -> float:
+        """Get the time, seconds since 1970 UTC."""
+        return time.time()
+
+    def advance(self, duration_s: float) -> None:
+        """Wait."""
+        time.sleep(duration_s)
+
+
 class World:
     """State of the simulated laboratory. Devices change it and look at it; the pipeline never does.
 
@@ -74,6 +96,7 @@ class World:
         *,
         clock: Clock | None = None,
         make_renderer: Callable[[HeightMap], Renderer] | None = None,
+        state: StateStore | None = None,
     ) -> None:
         self.config = setup.config
         self.spec = setup.laboratory
@@ -81,33 +104,30 @@ class World:
         self.faults = FaultScript(setup.config.faults)
         self.laboratory: TrueLaboratory = build_laboratory(self.spec, self.config)
         self.serial = serial_number(self.spec, self.config)
-        self.is_lamp_on = False
-        self.robot_at = _parked(self.spec)
-        self._trs_from_flange = self._flange(self.robot_at)
-        self._trs_from_board: RigidTransform | None = None
+        self.state: StateStore = state or LocalState(initial_state(setup))
         self._load_heightmap = setup.load_heightmap
         self._make_renderer = make_renderer or _heightfield_renderer
         self._renderer: Renderer | None = None
-        self._seen: tuple[Truth, NDArray[np.float32]] | None = None
+        self._seen: tuple[object, NDArray[np.float32]] | None = None
 
     @property
     def truth(self) -> Truth:
         """Get what is true now; for tests, and for devices to measure."""
-        return Truth(
-            laboratory=self.laboratory,
-            trs_from_flange=self._trs_from_flange,
-            trs_from_board=self._trs_from_board,
-            is_lamp_on=self.is_lamp_on,
-        )
+        return self._truth(self.state.read())
+
+    @property
+    def robot_at(self) -> RobotTarget:
+        """Get where the robot's encoders say it stands."""
+        return self.state.read().robot_encoders.target
 
     def stand_robot(self, target: RobotTarget, *, actual: RobotTarget) -> None:
         """Let the robot stand at ``actual`` while its encoders say ``target``."""
-        self.robot_at = target
-        self._trs_from_flange = self._flange(actual)
+        self.state.change(robot_encoders=RobotState.at(target), robot_actual=RobotState.at(actual))
 
     def place_board(self, trs_from_board: RigidTransform | None) -> None:
         """Put the board there, or take it away."""
-        self._trs_from_board = trs_from_board
+        board = None if trs_from_board is None else numbers_of(trs_from_board)
+        self.state.change(trs_from_board=board)
 
     def prepare_view(self) -> None:
         """Load the terrain, so that what is wrong with it shows before the first image.
@@ -117,15 +137,29 @@ class World:
         """
         self._ready_renderer()
 
-    def radiance(self) -> NDArray[np.float32]:
+    def radiance(self, region: CameraSpec | None = None) -> NDArray[np.float32]:
         """Give the radiance of what the camera sees now, shape (rows, columns), W/(m2 sr).
 
         As long as nothing changes it is rendered once.
+
+        Args:
+            region: The camera with the region of the sensor to read out; by default the rig's.
         """
-        truth = self.truth
-        if self._seen is None or not _is_same_view(self._seen[0], truth):
-            self._seen = truth, self._render(truth)
+        state, region = self.state.read(), region or self.spec.camera
+        seen = state.view, region
+        if self._seen is None or self._seen[0] != seen:
+            camera = read_out(self.laboratory.sensor, region)
+            self._seen = seen, self._render(camera, self._truth(state), state.lamp_level)
         return self._seen[1]
+
+    def _truth(self, state: WorldState) -> Truth:
+        board = state.trs_from_board
+        return Truth(
+            laboratory=self.laboratory,
+            trs_from_flange=self._flange(state.robot_actual.target),
+            trs_from_board=None if board is None else pose_from_xyz_quat(board),
+            is_lamp_on=state.lamp_level > 0.0,
+        )
 
     def _ready_renderer(self) -> Renderer:
         if self._renderer is None:
@@ -136,19 +170,21 @@ class World:
         rail_from_base = RigidTransform.from_translation([robot.rail_m, 0.0, 0.0])
         return self.laboratory.trs_from_rail * rail_from_base * robot.base_from_flange
 
-    def _render(self, truth: Truth) -> NDArray[np.float32]:
-        camera, surface = self.laboratory.camera, self.config.surface
+    def _render(self, camera: CameraModel, truth: Truth, lamp_level: float) -> NDArray[np.float32]:
+        surface = self.config.surface
         if not truth.is_lamp_on:
             return np.zeros(camera.shape, np.float32)
-        radiance = surface.albedo * self._render_terrain(truth.trs_from_cam)
+        radiance = surface.albedo * self._render_terrain(camera, truth.trs_from_cam)
         if truth.trs_from_board is not None:
-            is_board, board = self._render_board(truth.trs_from_board, truth.trs_from_cam)
+            is_board, board = self._render_board(camera, truth.trs_from_board, truth.trs_from_cam)
             radiance[is_board] = board
-        return (radiance + surface.stray_radiance_w_per_m2_sr).astype(np.float32)
+        return (lamp_level * (radiance + surface.stray_radiance_w_per_m2_sr)).astype(np.float32)
 
-    def _render_terrain(self, trs_from_cam: RigidTransform) -> NDArray[np.float32]:
+    def _render_terrain(
+        self, camera: CameraModel, trs_from_cam: RigidTransform
+    ) -> NDArray[np.float32]:
         rendering = self._ready_renderer().render(
-            self.laboratory.camera,
+            camera,
             trs_from_cam,
             self._lamp(),
             photometry=self.config.surface.photometry,
@@ -157,12 +193,12 @@ class World:
         return rendering.radiance
 
     def _render_board(
-        self, trs_from_board: RigidTransform, trs_from_cam: RigidTransform
+        self, camera: CameraModel, trs_from_board: RigidTransform, trs_from_cam: RigidTransform
     ) -> tuple[NDArray[np.bool_], FloatArray]:
         """Give where the board is seen, (rows, columns), and its radiance there, (n,)."""
         from tronlab.render.board import render_plane
 
-        spec, config, camera = self.spec.board, self.config.board, self.laboratory.camera
+        spec, config = self.spec.board, self.config.board
         texture, texel_m = print_board(spec)
         whiteness, is_board = render_plane(
             texture,
@@ -184,6 +220,21 @@ class World:
         )
 
 
+def initial_state(setup: WorldSetup) -> WorldState:
+    """Give the state of a laboratory nobody has used yet: robot parked, lamp dark, no board."""
+    parked, room = RobotState.at(_parked(setup.laboratory)), setup.config.room
+    return WorldState(
+        robot_encoders=parked,
+        robot_actual=parked,
+        trs_from_board=None,
+        lamp_level=0.0,
+        is_door_closed=room.is_door_closed,
+        air_temperature_k=room.air_temperature_k,
+        air_pressure_pa=room.air_pressure_pa,
+        relative_humidity=room.relative_humidity,
+    )
+
+
 def _parked(spec: LaboratorySpec) -> RobotTarget:
     """Give where the robot stands at first: low end of the rail, camera towards the model."""
     trs_from_cam = pose_along_boresight(np.zeros(3), boresight=[0, 0, -1], right=[0, 1, 0])
@@ -199,11 +250,3 @@ def _heightfield_renderer(heightmap: HeightMap) -> Renderer:
     from tronlab.render.heightfield import HeightfieldRenderer
 
     return HeightfieldRenderer(heightmap)
-
-
-def _is_same_view(a: Truth, b: Truth) -> bool:
-    return (
-        a.trs_from_flange is b.trs_from_flange
-        and a.trs_from_board is b.trs_from_board
-        and a.is_lamp_on == b.is_lamp_on
-    )

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from tronlab.calib.record import CalibrationRecord
-from tronlab.devices.readings import PoseReading
+from tronlab.devices.readings import DeviceIdentity, PoseReading
 from tronlab.errors import CalibrationError
 from tronlab.geometry.camera import CameraModel
 from tronlab.geometry.uncertainty import perturb, pose_difference
@@ -31,7 +31,11 @@ def record() -> CalibrationRecord:
         rig_name="twin",
         created_utc="2026-01-02T03:04:05Z",
         software={"tronlab": "0.1.0"},
-        devices={"camera": "A cam 1 f1", "tracker": "B trk 2 f2", "tmac": "B tmac 3 f3"},
+        devices={
+            "camera": DeviceIdentity("A", "cam", "1", "f1"),
+            "tracker": DeviceIdentity("B", "trk", "2", "f2"),
+            "tmac": DeviceIdentity("B", "tmac", "3", ""),
+        },
         camera=CameraModel(
             width_px=1024,
             height_px=1024,
@@ -145,8 +149,8 @@ MISTAKES = {
     "no lamp point": (lambda v: v["lamp"].pop("p_trs_m"), r"lamp\.p_trs_m: missing"),
     "no tmac identity": (lambda v: v["devices"].pop("tmac"), r"devices\.tmac: missing"),
     "other file": (_set("schema", "package-lock"), "schema: is 'package-lock', expected"),
-    "newer": (_set("schema_version", 2), "is 2, newer than 1, .*\nupdate tronlab"),
-    "no version": (_set("schema_version", "x"), "schema_version: is 'x', expected 1"),
+    "newer": (_set("schema_version", 3), "is 3, newer than 2, .*\nupdate tronlab"),
+    "no version": (_set("schema_version", "x"), "schema_version: is 'x', expected 2"),
     "frames": (_set("trs_from_trk.child", "cam"), "is trs_from_cam, expected trs_from_trk"),
     "quaternion": (_set("trs_from_trk.xyz_m_quat_xyzw", [0.0] * 7), "norm is 0, expected 1"),
     "short": (_set("trs_from_trk.xyz_m_quat_xyzw", [0.0]), r"shape \(1,\), expected \(7,\)"),
@@ -202,8 +206,12 @@ def test_another_rig_is_refused(record: CalibrationRecord) -> None:
 
 
 def test_exchanged_devices_are_refused_by_name(record: CalibrationRecord) -> None:
-    record.check_devices({**record.devices, "robot": "any"})
+    def camera(serial: str, firmware: str) -> dict[str, DeviceIdentity]:
+        return {**record.devices, "camera": DeviceIdentity("A", "cam", serial, firmware)}
+
+    record.check_devices({**record.devices, "robot": DeviceIdentity("", "any", "", "")})
+    record.check_devices(camera("1", "new firmware"))
     with pytest.raises(CalibrationError, match=r"camera: record 'A cam 1 f1', now 'A cam 9 f1'"):
-        record.check_devices({**record.devices, "camera": "A cam 9 f1"})
-    with pytest.raises(CalibrationError, match=r"tmac: record 'B tmac 3 f3', now 'none'"):
+        record.check_devices(camera("9", "f1"))
+    with pytest.raises(CalibrationError, match=r"tmac: record 'B tmac 3', now 'none'"):
         record.check_devices({k: v for k, v in record.devices.items() if k != "tmac"})

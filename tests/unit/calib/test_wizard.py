@@ -158,7 +158,7 @@ def test_the_truth_of_a_shot_lies_within_its_covariance(
 def test_the_record_says_how_it_came_about(done: tuple[Bench, CalibrationRecord]) -> None:
     bench, record = done
     assert record.rig_name == "small"
-    assert record.devices["tmac"] == str(bench.devices.tracker.identify_target())
+    assert record.devices["tmac"] == bench.devices.tracker.identify_target()
     assert len(record.inputs["stations"]) == record.statistics["n_stations"] >= 20
     assert set(record.inputs["reflectors"]) == {"top_left", "bottom_left", "top_right"}
     assert record.statistics["p_value_poses"] > 1e-3
@@ -188,10 +188,10 @@ def test_swapped_reflectors_show_before_anything_moves(make_bench: Callable[...,
     targets = dict(bench.world.laboratory.p_targets_trs_m)
     targets["top_left"], targets["top_right"] = targets["top_right"], targets["top_left"]
     object.__setattr__(bench.world.laboratory, "p_targets_trs_m", targets)
-    parked = bench.world.robot_at
+    parked = bench.world.state.read().robot_encoders
     with pytest.raises(CalibrationError, match="top_left, top_right are swapped"):
         bench.calibrate()
-    assert bench.world.robot_at is parked
+    assert bench.world.state.read().robot_encoders == parked
 
 
 def test_a_lost_beam_costs_one_station(measured: Measurements) -> None:
@@ -210,7 +210,7 @@ def test_the_board_is_taken_away_when_a_device_fails(make_bench: Callable[..., B
 def test_without_light_no_exposure_is_found(make_bench: Callable[..., Bench]) -> None:
     bench = make_bench()
     bench.devices.room.switch_lamp = lambda *, on: None  # type: ignore[method-assign]
-    bench.world.is_lamp_on = False
+    bench.world.state.change(lamp_level=0.0)
     with pytest.raises(CalibrationError, match=r"no exposure found(.|\n)*is the lamp on"):
         bench.calibrate()
 

@@ -8,6 +8,7 @@ from typer.testing import CliRunner
 
 from tronlab.calib.record import CalibrationRecord
 from tronlab.cli import calibrate as command
+from tronlab.devices.readings import DeviceIdentity
 from tronlab.errors import CalibrationError, ConfigError
 from tronlab.geometry.camera import CameraModel
 
@@ -19,7 +20,9 @@ def made(p_value: float = 0.4) -> CalibrationRecord:
         rig_name="twin",
         created_utc="2026-01-02T03:04:05Z",
         software={},
-        devices={"camera": "c", "tracker": "t", "tmac": "m"},
+        devices={
+            name: DeviceIdentity("M", name, "1", "") for name in ("camera", "tracker", "tmac")
+        },
         camera=CameraModel(
             width_px=1024, height_px=1024, fx_px=764.25, fy_px=764.5, cx_px=511.0, cy_px=512.0
         ),

@@ -15,7 +15,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from tronlab.dataset import schema
 from tronlab.dataset.reader import Dataset
 from tronlab.dataset.records import Provenance, ReferenceView, ShotRecord
+from tronlab.dataset.validate import validate
 from tronlab.dataset.writer import DatasetWriter
+from tronlab.devices.readings import AirReading
 from tronlab.errors import DatasetError, IntegrityError, SchemaVersionError
 
 MakeShot = Callable[..., ShotRecord]
@@ -378,3 +380,41 @@ def test_scrambled_metadata_is_a_clear_error_or_no_harm(small_dataset: Path, sta
             dataset.shot(i)
         dataset.references()
     assert small_dataset.read_bytes() == content
+
+
+def test_optional_values_come_back_or_are_none(
+    tmp_path: Path, make_shot: Callable[..., ShotRecord], make_provenance: Callable[..., Provenance]
+) -> None:
+    air = AirReading(temperature_k=294.0, pressure_pa=95_100.0, relative_humidity=0.3)
+    bare = make_shot(0)
+    full = replace(
+        make_shot(1),
+        tracker=replace(make_shot(1).tracker, air=air),
+        frame=replace(make_shot(1).frame, device_time_s=12.5),
+    )
+    path = tmp_path / "d.h5"
+    with DatasetWriter(path, make_provenance(2)) as writer:
+        writer.commit(bare)
+        writer.commit(full)
+        writer.finish("complete")
+    assert validate(path) == []
+    with Dataset(path) as dataset:
+        assert (dataset.shot(0).tracker.air, dataset.shot(0).frame.device_time_s) == (None, None)
+        assert (dataset.shot(1).tracker.air, dataset.shot(1).frame.device_time_s) == (air, 12.5)
+
+
+def test_a_file_of_layout_1_0_is_read_and_valid(small_dataset: Path) -> None:
+    """Layout 1.0 has no optional columns, and its checksums do not cover them."""
+    with h5py.File(small_dataset, "r+") as file:
+        file.attrs[schema.SCHEMA_ATTRIBUTE] = "1.0"
+        kept = [column.path for column in schema.COLUMNS if not column.is_optional]
+        for column in schema.COLUMNS:
+            if column.is_optional:
+                del file[column.path]
+        for i in range(5):
+            crc = schema.checksum(file[path][i : i + 1] for path in kept)
+            file[schema.VALUES_CRC32][i] = crc
+    assert validate(small_dataset) == []
+    with Dataset(small_dataset) as dataset:
+        assert dataset.shot(0).tracker.air is None
+        assert dataset.shot(0).frame.device_time_s is None

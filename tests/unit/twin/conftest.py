@@ -107,7 +107,7 @@ def bench(twin_rig, config: WorldConfig) -> Callable[..., Bench]:
         )
         renderer = UniformRenderer()
         world = World(setup, make_renderer=lambda _: renderer)
-        world.is_lamp_on = True
+        world.state.change(lamp_level=1.0)
         shared: dict[str, object] = {WORLD_KEY: world}
         made = {
             kind: make_device(

@@ -145,7 +145,7 @@ def test_real_renderer_sees_a_lit_flat_model_on_black_cloth(spec, config, look_a
     surface = config.surface.model_copy(update={"photometry": "lambert", "rays_per_pixel": 1})
     config = config.model_copy(update={"surface": surface})
     world = World(WorldSetup(config, spec, lambda: flat))
-    world.is_lamp_on = True
+    world.state.change(lamp_level=1.0)
     target = spec.mounting.robot_target(look_at(z_m=3.5))
     world.stand_robot(target, actual=target)
     image = world.radiance()
@@ -209,4 +209,4 @@ def test_twin_yaml_camera_is_nominally_upright_before_the_model(spec, look_at):
 
 
 def test_the_room_is_dark_until_the_lamp_is_switched_on(setup):
-    assert not World(setup).is_lamp_on
+    assert not World(setup).truth.is_lamp_on
