@@ -90,6 +90,19 @@ class RobotConfig(Model):
     """How long one move may take."""
 
 
+class RoomConfig(Model):
+    """What the room must be like."""
+
+    needs_closed_door: bool = True
+    """Wait while the door is open, and take a shot again during which it was."""
+    timeout_s: Seconds = 3600.0
+    """How long to wait for a person to make the cell safe."""
+    max_temperature_difference_k: Annotated[float, Field(gt=0)] = 1.0
+    """Warn if the room's air and the tracker's differ by more: 1 K changes a distance by 1 ppm."""
+    max_pressure_difference_pa: Annotated[float, Field(gt=0)] = 200.0
+    """Likewise; 400 Pa change a distance by 1 ppm."""
+
+
 class ScoreConfig(Model):
     """How the dataset is scored by ``tronlab demo``."""
 
@@ -127,6 +140,8 @@ class CampaignConfig(Model):
     """How the ground truth is measured."""
     robot: RobotConfig = RobotConfig()
     """How the robot is driven."""
+    room: RoomConfig = RoomConfig()
+    """What the room must be like."""
     score: ScoreConfig = ScoreConfig()
     """How the dataset is scored."""
 

@@ -19,14 +19,15 @@ from bluesky import RunEngine
 from bluesky.utils import DuringTask, FailedStatus, Msg
 
 from tronlab.campaign.plan import Plan, Shot
+from tronlab.campaign.policy import MAX_ATTEMPTS, Remedy, remedy_for
 from tronlab.campaign.shot import ShotTaker
 from tronlab.campaign.stop import RunStoppedError, StopRequest
 from tronlab.dataset.records import ShotRecord
-from tronlab.errors import NotSettledError, TrackingLostError
+from tronlab.errors import DeviceError
 
-MAX_ATTEMPTS = 3
-RETRYABLE = (TrackingLostError, NotSettledError)
 _WORKER_PATIENCE_S = 5.0
+_RECONNECT_PAUSE_S = 1.0
+_SAFETY_LOOK_S = 0.5
 _LOOK_UP_S = 0.1
 
 Numbers: TypeAlias = Mapping[str, float | int]
@@ -45,7 +46,11 @@ class RunListener:
     on_shot: Callable[[ShotRecord], None] = lambda record: None
     """A shot was committed."""
     on_retry: Callable[[Shot, int, Exception], None] = lambda shot, attempt, error: None
-    """An attempt failed with a retryable error: shot, the attempt that failed, its error."""
+    """An attempt failed and another follows: shot, the attempt that failed, its error."""
+    on_wait: Callable[[Shot, Exception], None] = lambda shot, error: None
+    """The cell is not safe: the run waits before this shot."""
+    on_resume: Callable[[Shot], None] = lambda shot: None
+    """It is safe again, and this shot was taken."""
 
 
 def run_shots(
@@ -67,7 +72,7 @@ def run_shots(
 
     Raises:
         RunStoppedError: ``stop`` was asked for.
-        DeviceError: A device failed; retryable errors only after ``MAX_ATTEMPTS``.
+        DeviceError: A device failed, and ``policy`` knows no remedy or none has helped.
     """
     stop = stop or StopRequest()
     run = _Run(taker, commit=commit, stop=stop, listener=listener or RunListener())
@@ -281,22 +286,43 @@ class _Measurement:
 
 def _campaign(plan: Plan, run: _Run) -> Messages:
     taker = run.taker
-    mover = _Mover(run)
-    steps = [
-        _Measurement("settle", run, taker.settle),
-        _Measurement("tracker", run, taker.measure),
-        _Measurement("camera", run, taker.grab),
-        _Measurement("confirm", run, taker.confirm),
-        _Measurement("encoders", run, taker.read),
-        _Measurement("record", run, lambda: _put_into_mailbox(run)),
-    ]
+    crew = _Crew(
+        run=run,
+        mover=_Mover(run),
+        guard=_Measurement("room", run, lambda: _no_numbers(taker.check_room)),
+        steps=(
+            _Measurement("settle", run, taker.settle),
+            _Measurement("tracker", run, taker.measure),
+            _Measurement("camera", run, taker.grab),
+            _Measurement("confirm", run, taker.confirm),
+            _Measurement("encoders", run, taker.read),
+            _Measurement("record", run, lambda: _put_into_mailbox(run)),
+        ),
+    )
 
     @bpp.run_decorator(md={"plan_sha256": plan.sha256, "n_shots": len(plan.shots)})
     def shots() -> Messages:
         for shot in plan.shots:
-            yield from _shot_with_retries(shot, mover, steps=steps)
+            yield from _shot_until_taken(shot, crew)
 
     yield from shots()
+
+
+@dataclass(frozen=True)
+class _Crew:
+    """Who takes the shots of a run."""
+
+    run: _Run
+    mover: _Mover
+    guard: _Measurement
+    """Looks whether the room is safe."""
+    steps: tuple[_Measurement, ...]
+    """After the move, in this order."""
+
+
+def _no_numbers(step: Callable[[], None]) -> Numbers:
+    step()
+    return {}
 
 
 def _put_into_mailbox(run: _Run) -> Numbers:
@@ -310,31 +336,77 @@ def _put_into_mailbox(run: _Run) -> Numbers:
     }
 
 
-def _shot_with_retries(shot: Shot, mover: _Mover, *, steps: list[_Measurement]) -> Messages:
-    for attempt in range(1, MAX_ATTEMPTS + 1):
-        if mover.run.stop.is_asked:
+def _shot_until_taken(shot: Shot, crew: _Crew) -> Messages:
+    """Take a shot, and do about its errors what the policy says."""
+    taker, listener = crew.run.taker, crew.run.listener
+    failures, suspensions = 0, 0
+    unsafe_since_s: float | None = None
+    while True:
+        if crew.run.stop.is_asked:
             raise RunStoppedError
+        attempt = 1 + failures + suspensions
         try:
-            yield from _shot(shot, attempt, mover=mover, steps=steps)
+            yield from _shot(shot, attempt, crew)
         except FailedStatus as failure:
-            error = failure.__cause__
-            if not isinstance(error, RETRYABLE) or attempt == MAX_ATTEMPTS:
+            error, remedy = failure.__cause__, remedy_for(failure.__cause__)
+            if not isinstance(error, DeviceError) or remedy is Remedy.STOP:
                 raise
-            mover.run.listener.on_retry(shot, attempt, error)
+            if remedy is Remedy.WAIT:
+                if unsafe_since_s is None:
+                    unsafe_since_s = taker.monotonic_s()
+                    suspensions += 1
+                    listener.on_wait(shot, error)
+                elif taker.monotonic_s() - unsafe_since_s > taker.config.room.timeout_s:
+                    raise
+                yield from _nap(_SAFETY_LOOK_S, crew)
+                continue
+            failures += 1
+            if failures == MAX_ATTEMPTS:
+                raise
+            listener.on_retry(shot, attempt, error)
+            if remedy is Remedy.RECONNECT:
+                yield from _reconnect(error.device, crew)
         else:
+            if unsafe_since_s is not None:
+                listener.on_resume(shot)
             return
 
 
-def _shot(shot: Shot, attempt: int, *, mover: _Mover, steps: list[_Measurement]) -> Messages:
+def _reconnect(device: str, crew: _Crew) -> Messages:
+    """Connect a device again; if that fails too, the next attempt says so."""
+    yield from _nap(_RECONNECT_PAUSE_S, crew)
+    connect = _Measurement(
+        f"connect {device}", crew.run, lambda: _no_numbers(lambda: crew.run.taker.reconnect(device))
+    )
+    try:
+        yield from _trigger(connect)
+    except FailedStatus as failure:
+        if remedy_for(failure.__cause__) is not Remedy.RECONNECT:
+            raise
+
+
+def _nap(duration_s: float, crew: _Crew) -> Messages:
+    taker = crew.run.taker
+    yield from _trigger(
+        _Measurement("wait", crew.run, lambda: _no_numbers(lambda: taker.sleep(duration_s)))
+    )
+
+
+def _shot(shot: Shot, attempt: int, crew: _Crew) -> Messages:
     yield from bps.checkpoint()
-    yield from bps.abs_set(mover, (shot, attempt), wait=True)
-    for step in steps:
-        # A group of its own: a step that fails before it is waited for stays in its group, and
-        # would fail the wait for another step.
-        group = (shot.shot_id, attempt, step.name)
-        yield from bps.trigger(step, group=group)
-        yield from bps.wait(group=group)
+    yield from _trigger(crew.guard)
+    yield from bps.abs_set(crew.mover, (shot, attempt), wait=True)
+    for step in crew.steps:
+        yield from _trigger(step)
     yield from bps.create(name="shots")
-    for step in steps:
+    for step in crew.steps:
         yield from bps.read(step)
     yield from bps.save()
+
+
+def _trigger(step: _Measurement) -> Messages:
+    # A group of its own: a step that fails before it is waited for stays in its group, and would
+    # fail the wait for another step.
+    group = object()
+    yield from bps.trigger(step, group=group)
+    yield from bps.wait(group=group)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from tronlab.calib.record import CalibrationRecord
 from tronlab.campaign.config import Campaign, load_campaign
-from tronlab.campaign.engine import MAX_ATTEMPTS, RunListener, run_shots
+from tronlab.campaign.engine import RunListener, run_shots
 from tronlab.campaign.live import Live, SilentLive
 from tronlab.campaign.plan import (
     Plan,
@@ -18,6 +18,7 @@ from tronlab.campaign.plan import (
     database_indices,
     make_plan,
 )
+from tronlab.campaign.policy import MAX_ATTEMPTS
 from tronlab.campaign.provenance import device_identities, software_versions
 from tronlab.campaign.reference import render_references
 from tronlab.campaign.rig import Rig, load_rig
@@ -233,6 +234,7 @@ def _record(
         devices=devices,
         config=job.campaign.config,
         truth_source=TruthSource(job.calibration, heightmap, renderer),
+        warn=live.announce,
     )
     with _writer(job, provenance, taker=taker, live=live) as writer:
         writer.add_references(views)
@@ -297,6 +299,11 @@ def _listener(writer: DatasetWriter, n_all: int, live: Live) -> RunListener:
     return RunListener(
         on_shot=lambda _record: live.advance("shots", n_done=writer.n_committed, n_all=n_all),
         on_retry=lambda shot, attempt, error: live.announce(
-            f"shot {shot.shot_id}, attempt {attempt} of {MAX_ATTEMPTS}: {error}"
+            f"shot {shot.shot_id}, attempt {attempt}: {error} (after {MAX_ATTEMPTS} failures the"
+            " run stops)"
         ),
+        on_wait=lambda shot, error: live.announce(
+            f"waiting before shot {shot.shot_id}: {error}; the run goes on by itself"
+        ),
+        on_resume=lambda shot: live.announce(f"safe again: shot {shot.shot_id} is taken"),
     )

@@ -14,7 +14,7 @@ from tronlab.campaign.plan import RangeFinder, Shot, range_los_m
 from tronlab.dataset.records import ShotRecord, Truth
 from tronlab.devices.readings import Frame, PoseReading, RobotReading, RoomReading
 from tronlab.devices.registry import Devices
-from tronlab.errors import DeviceError, NotSettledError
+from tronlab.errors import DeviceError, NotSettledError, SafetyError
 from tronlab.geometry.poses import rotation_angle_rad
 from tronlab.render.mask import model_mask
 from tronlab.terrain.heightmap import HeightMap
@@ -64,7 +64,10 @@ class ShotTaker:
     truth_source: TruthSource
     sleep: Callable[[float], None] = time.sleep
     monotonic_s: Callable[[], float] = time.monotonic
+    warn: Callable[[str], None] = lambda text: None
+    """Told of what is odd but no error."""
     _now: _Readings | None = field(default=None, init=False)
+    _has_warned_of_air: bool = field(default=False, init=False)
 
     @property
     def in_hand(self) -> str:
@@ -75,6 +78,29 @@ class ShotTaker:
     def begin(self, shot: Shot, attempt: int) -> None:
         """Forget the last shot: nothing of it can be paired with this one."""
         self._now = _Readings(shot=shot, attempt=attempt)
+
+    def check_room(self) -> None:
+        """Look whether the room lets a shot be taken.
+
+        Raises:
+            SafetyError: It does not.
+        """
+        self._refuse_open_door(self.devices.room.read())
+
+    def reconnect(self, device_name: str) -> None:
+        """Close a device and connect it again, and make it what it was for this campaign."""
+        device = next(device for device in self.devices.all() if device.name == device_name)
+        device.close()
+        device.connect()
+        if device is self.devices.camera:
+            camera = self.config.camera
+            self.devices.camera.configure(
+                exposure_s=camera.exposure_s,
+                gain_db=camera.gain_db,
+                pixel_format=camera.pixel_format,
+            )
+        if device is self.devices.room:
+            self.devices.room.switch_lamp(on=True)
 
     def move(self) -> None:
         """Drive the robot to the target; it stands still when this returns."""
@@ -133,10 +159,16 @@ class ShotTaker:
         return {"exposure_shift_m": shift_m, "exposure_turn_rad": turn_rad}
 
     def read(self) -> dict[str, float]:
-        """Read robot and room."""
+        """Read robot and room.
+
+        Raises:
+            SafetyError: The door is open: light, and maybe a person, came in.
+        """
         now = self._begun()
         now.robot = self.devices.robot.read()
         now.room = self.devices.room.read()
+        self._refuse_open_door(now.room)
+        self._compare_air(_taken(now.tracker, "tracker"), now.room)
         return {"rail_m": now.robot.rail_m, "air_temperature_k": now.room.air_temperature_k}
 
     def assemble(self) -> ShotRecord:
@@ -155,6 +187,27 @@ class ShotTaker:
             mask=mask,
             truth=truth,
         )
+
+    def _refuse_open_door(self, room: RoomReading) -> None:
+        if self.config.room.needs_closed_door and not room.is_door_closed:
+            raise SafetyError("the door is open; close it", device=self.devices.room.name)
+
+    def _compare_air(self, tracker: PoseReading, room: RoomReading) -> None:
+        """Warn, once, if tracker and room disagree about the air: one of them reads wrong."""
+        if tracker.air is None or self._has_warned_of_air:
+            return
+        warm_k = abs(tracker.air.temperature_k - room.air_temperature_k)
+        dense_pa = abs(tracker.air.pressure_pa - room.air_pressure_pa)
+        allowed = self.config.room
+        if (
+            warm_k > allowed.max_temperature_difference_k
+            or dense_pa > allowed.max_pressure_difference_pa
+        ):
+            self._has_warned_of_air = True
+            self.warn(
+                f"{self.in_hand}: the tracker's air and the room's differ by {warm_k:.2f} K and"
+                f" {dense_pa:.0f} Pa; check both sensors: distances are corrected by them"
+            )
 
     def _begun(self) -> _Readings:
         return _taken(self._now, "shot")

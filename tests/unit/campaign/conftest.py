@@ -13,6 +13,7 @@ from tronlab.campaign.config import CampaignConfig
 from tronlab.campaign.plan import Plan, Shot
 from tronlab.campaign.shot import ShotTaker, TruthSource
 from tronlab.devices.readings import (
+    AirReading,
     DeviceIdentity,
     Frame,
     PointReading,
@@ -42,6 +43,10 @@ class Laboratory:
     on_call: Callable[[str], None] = lambda call: None
     shifts_m: list[float] = field(default_factory=list[float])
     """How far the T-MAC seems to have moved at each look, until there are no more."""
+    doors: list[bool] = field(default_factory=list[bool])
+    """Whether the door is closed at each look, until there are no more; then it is."""
+    air: AirReading | None = None
+    """What the tracker says of the air."""
 
     def call(self, name: str) -> None:
         self.log.append(name)
@@ -56,9 +61,11 @@ class Fake:
     laboratory: Laboratory
     name: str
 
-    def connect(self) -> None: ...
+    def connect(self) -> None:
+        self.laboratory.call(f"connect {self.name}")
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        self.laboratory.call(f"close {self.name}")
 
     def identify(self) -> DeviceIdentity:
         return DeviceIdentity(maker="Fake", model=self.name, serial="1", firmware="")
@@ -90,11 +97,13 @@ class FakeTracker(Fake):
         self.laboratory.call("look" if window_s < 1 else "measure")
         shift_m = self.laboratory.shifts_m.pop(0) if self.laboratory.shifts_m else 0.0
         position = [0.0, shift_m, self.laboratory.rail_m]
-        return PoseReading(RigidTransform.from_translation(position), 1e-12 * np.eye(6), 0.0)
+        pose = RigidTransform.from_translation(position)
+        return PoseReading(pose, 1e-12 * np.eye(6), 0.0, air=self.laboratory.air)
 
 
 class FakeCamera(Fake):
-    def configure(self, *, exposure_s: float, gain_db: float, pixel_format: str) -> None: ...
+    def configure(self, *, exposure_s: float, gain_db: float, pixel_format: str) -> None:
+        self.laboratory.call("configure")
 
     def grab(self, *, timeout_s: float) -> Frame:
         self.laboratory.call("grab")
@@ -106,7 +115,8 @@ class FakeCamera(Fake):
 class FakeRoom(Fake):
     def read(self) -> RoomReading:
         self.laboratory.call("read_room")
-        return RoomReading(293.0, 1e5, 0.4, True, True, 0.0)
+        is_door_closed = self.laboratory.doors.pop(0) if self.laboratory.doors else True
+        return RoomReading(293.0, 1e5, 0.4, is_door_closed, True, 0.0)
 
     def switch_lamp(self, *, on: bool) -> None: ...
 

@@ -5,20 +5,35 @@ from typing import Any
 import pytest
 
 from tronlab.campaign import engine
-from tronlab.campaign.engine import MAX_ATTEMPTS, RunListener, run_shots
+from tronlab.campaign.engine import RunListener, run_shots
 from tronlab.campaign.plan import Plan, Shot
+from tronlab.campaign.policy import MAX_ATTEMPTS
 from tronlab.campaign.shot import ShotTaker
 from tronlab.campaign.stop import RunStoppedError, StopRequest
 from tronlab.dataset.records import ShotRecord
+from tronlab.devices.readings import AirReading
 from tronlab.errors import (
     DatasetError,
     DeviceFaultError,
+    DeviceTimeoutError,
     LimitError,
+    NotConnectedError,
     NotSettledError,
+    SafetyError,
     TrackingLostError,
 )
 
-ONE_SHOT = ["move", "look", "look", "measure", "grab", "look", "read_robot", "read_room"]
+ONE_SHOT = [
+    "read_room",
+    "move",
+    "look",
+    "look",
+    "measure",
+    "grab",
+    "look",
+    "read_robot",
+    "read_room",
+]
 
 
 def lost() -> TrackingLostError:
@@ -35,7 +50,7 @@ def test_steps_run_in_order(taker: ShotTaker, plan: Plan, laboratory: Any) -> No
 def test_every_image_belongs_to_its_shot_also_after_retries(
     taker: ShotTaker, plan: Plan, laboratory: Any
 ) -> None:
-    laboratory.failures = {("grab", 1): lost(), ("measure", 3): lost(), ("read_room", 3): lost()}
+    laboratory.failures = {("grab", 1): lost(), ("measure", 3): lost(), ("read_room", 8): lost()}
     records: list[ShotRecord] = []
     run_shots(plan, taker, commit=records.append)
     assert [record.attempt for record in records] == [2, 2, 2, 1]
@@ -59,6 +74,107 @@ def test_retryable_errors_are_told_and_tried_again(
     run_shots(plan, taker, commit=records.append, listener=RunListener(on_retry=on_retry))
     assert told == [(1, 1, error), (1, 2, error)]
     assert [record.attempt for record in records] == [3, 1, 1, 1]
+
+
+def test_a_door_opened_during_a_shot_suspends_the_run_and_the_shot_is_taken_again(
+    taker: ShotTaker, plan: Plan, laboratory: Any
+) -> None:
+    laboratory.doors = [True, True, True, False, False, False, True, True]
+    records: list[ShotRecord] = []
+    told: list[str] = []
+    listener = RunListener(
+        on_wait=lambda shot, error: told.append(f"wait {shot.shot_id}: {error}"),
+        on_resume=lambda shot: told.append(f"resume {shot.shot_id}"),
+    )
+    run_shots(plan, taker, commit=records.append, listener=listener)
+    assert told == ["wait 2: room: the door is open; close it", "resume 2"]
+    assert [record.shot_id for record in records] == [1, 2, 3, 4]
+    assert [record.attempt for record in records] == [1, 2, 1, 1]
+    assert laboratory.log.count("move") == 5
+
+
+def test_nothing_moves_while_the_door_is_open(
+    taker: ShotTaker, plan: Plan, laboratory: Any
+) -> None:
+    laboratory.doors = [False] * 10**6
+    with pytest.raises(SafetyError, match="room: the door is open"):
+        run_shots(plan, taker, commit=lambda record: None)
+    assert set(laboratory.log) == {"read_room"}
+    assert taker.monotonic_s() > taker.config.room.timeout_s
+
+
+def test_a_waiting_run_can_be_stopped(taker: ShotTaker, plan: Plan, laboratory: Any) -> None:
+    laboratory.doors = [False] * 10**6
+    stop = StopRequest()
+    laboratory.on_call = lambda call: stop.ask() if len(laboratory.log) == 5 else None
+    with pytest.raises(RunStoppedError):
+        run_shots(plan, taker, commit=lambda record: None, stop=stop)
+
+
+def test_a_campaign_may_allow_an_open_door(taker: ShotTaker, plan: Plan, laboratory: Any) -> None:
+    laboratory.doors = [False] * 10**6
+    room = taker.config.room.model_copy(update={"needs_closed_door": False})
+    taker.config = taker.config.model_copy(update={"room": room})
+    run_shots(plan, taker, commit=lambda record: None)
+    assert laboratory.log == ONE_SHOT * 4
+
+
+@pytest.mark.parametrize(
+    ("call", "device", "extra"),
+    [("grab", "camera", ["configure"]), ("measure", "tracker", []), ("read_room", "room", [])],
+)
+@pytest.mark.parametrize("kind", [NotConnectedError, DeviceTimeoutError])
+def test_a_lost_device_is_connected_again_and_its_shot_taken_again(
+    taker: ShotTaker,
+    plan: Plan,
+    laboratory: Any,
+    call: str,
+    device: str,
+    extra: list[str],
+    kind: type[Exception],
+) -> None:
+    laboratory.failures = {(call, 1): kind("gone", device=device)}
+    records: list[ShotRecord] = []
+    run_shots(plan, taker, commit=records.append)
+    assert [record.attempt for record in records] == [2, 1, 1, 1]
+    at = laboratory.log.index(f"close {device}")
+    assert laboratory.log[at : at + 2 + len(extra)] == [
+        f"close {device}",
+        f"connect {device}",
+        *extra,
+    ]
+
+
+def test_a_device_that_stays_away_ends_the_run(
+    taker: ShotTaker, plan: Plan, laboratory: Any
+) -> None:
+    gone = NotConnectedError("gone", device="camera")
+    laboratory.failures = {("grab", i): gone for i in range(1, 9)}
+    laboratory.failures |= {("connect camera", i): gone for i in range(1, 9)}
+    with pytest.raises(NotConnectedError, match="camera: gone"):
+        run_shots(plan, taker, commit=lambda record: None)
+    assert laboratory.log.count("connect camera") == MAX_ATTEMPTS - 1
+
+
+@pytest.mark.parametrize("kind", [NotConnectedError, DeviceTimeoutError])
+def test_a_lost_robot_stops_the_run(
+    taker: ShotTaker, plan: Plan, laboratory: Any, kind: type[Exception]
+) -> None:
+    laboratory.failures = {("move", 2): kind("gone", device="robot")}
+    with pytest.raises(kind, match="robot: gone"):
+        run_shots(plan, taker, commit=lambda record: None)
+    assert "connect robot" not in laboratory.log
+
+
+def test_air_that_tracker_and_room_disagree_about_is_told_once(
+    taker: ShotTaker, plan: Plan, laboratory: Any
+) -> None:
+    laboratory.air = AirReading(temperature_k=294.5, pressure_pa=1e5, relative_humidity=0.4)
+    told: list[str] = []
+    taker.warn = told.append
+    run_shots(plan, taker, commit=lambda record: None)
+    assert len(told) == 1
+    assert "shot 1, attempt 1: the tracker's air and the room's differ by 1.50 K" in told[0]
 
 
 def test_gives_up_after_the_last_attempt(taker: ShotTaker, plan: Plan, laboratory: Any) -> None:
@@ -88,7 +204,7 @@ def test_other_errors_end_the_run_as_they_are(
     error: Exception,
     capfd: pytest.CaptureFixture[str],
 ) -> None:
-    n_of_shot_2 = {"look": 4}.get(call, 2)
+    n_of_shot_2 = {"look": 4, "read_room": 3}.get(call, 2)
     laboratory.failures = {(call, n_of_shot_2): error}
     records: list[ShotRecord] = []
     with pytest.raises(type(error)) as caught:

@@ -31,5 +31,5 @@ def test_missing_git_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_identities_of_all_devices_and_the_tmac(devices: Devices) -> None:
     identities = device_identities(devices)
     assert set(identities) == {"robot", "tracker", "camera", "room", "operator", "tmac"}
-    assert identities["camera"] == "Fake camera 1"
-    assert identities["tmac"] == "Fake tmac 1"
+    assert str(identities["camera"]) == "Fake camera 1"
+    assert str(identities["tmac"]) == "Fake tmac 1"

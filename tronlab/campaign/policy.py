@@ -1,0 +1,51 @@
+"""What a campaign does about an error of a device: try again, connect again, wait, or stop."""
+
+from enum import Enum
+
+from tronlab.errors import (
+    AccessDeniedError,
+    DeviceError,
+    DeviceTimeoutError,
+    IncompleteFrameError,
+    NotConnectedError,
+    NotReadyError,
+    NotSettledError,
+    SafetyError,
+    TrackingLostError,
+)
+
+MAX_ATTEMPTS = 3
+"""Failures of one shot until the run gives up; waiting for a safe cell is none."""
+
+ROBOT = "robot"
+"""Name of the device that is never connected again by itself: nobody knows what it does."""
+
+
+class Remedy(Enum):
+    """What to do before the shot is taken again."""
+
+    RETRY = "retry"
+    """Nothing: the device answers, and the next try may succeed."""
+    RECONNECT = "reconnect"
+    """Close the device and connect it again."""
+    WAIT = "wait"
+    """Wait until a person has made the cell safe."""
+    STOP = "stop"
+    """The shot is not taken again: the run ends."""
+
+
+def remedy_for(error: BaseException | None) -> Remedy:
+    """Choose the remedy for an error."""
+    match error:
+        case SafetyError():
+            return Remedy.WAIT
+        case TrackingLostError() | NotSettledError() | IncompleteFrameError() | NotReadyError():
+            return Remedy.RETRY
+        case AccessDeniedError():
+            return Remedy.STOP
+        case DeviceError(device=device) if device == ROBOT:
+            return Remedy.STOP
+        case NotConnectedError() | DeviceTimeoutError():
+            return Remedy.RECONNECT
+        case _:
+            return Remedy.STOP
