@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 from pydantic import Field
 
@@ -14,7 +14,7 @@ from tronlab.errors import ConfigError
 from tronlab.terrain.config import TerrainConfig
 from tronlab.terrain.heightmap import HeightMap
 from tronlab.twin.config import WorldConfig
-from tronlab.yaml_models import Model, join_errors, line_of, parse_model, read_text
+from tronlab.yaml_models import ExistingFile, Model, join_errors, line_of, parse_model, read_text
 
 if TYPE_CHECKING:
     from tronlab.twin.world import WorldSetup
@@ -40,10 +40,13 @@ class DevicesConfig(Model):
     """Who does what no device can do, such as placing the calibration board."""
 
 
+RigName: TypeAlias = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+
+
 class RigConfig(Model):
     """A rig file."""
 
-    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+    name: RigName
     """Name of the rig; calibration records are made for one rig and name it."""
     laboratory: LaboratorySpec
     """The laboratory as designed."""
@@ -55,6 +58,20 @@ class RigConfig(Model):
     """The simulated laboratory behind twin devices; a rig of hardware has none."""
 
 
+class RigVariant(Model):
+    """A rig file that takes another one and replaces whole sections of it."""
+
+    extends: ExistingFile
+    """The other rig file, relative to this one."""
+    name: RigName | None = None
+    """Name of the rig, if it is another one: calibration records are made for one name."""
+    laboratory: LaboratorySpec | None = None
+    """Instead of the other file's, whole; likewise all sections below."""
+    terrain: TerrainConfig | None = None
+    devices: DevicesConfig | None = None
+    world: WorldConfig | None = None
+
+
 @dataclass(frozen=True)
 class Rig:
     """A rig file that was read."""
@@ -62,12 +79,21 @@ class Rig:
     config: RigConfig
     path: Path
     text: str
-    """The file as it is written, for provenance."""
+    """The file as it is written."""
+    extended: "Rig | None" = None
+    """The rig whose sections it takes over, if it is a variant of one."""
 
     @property
     def name(self) -> str:
         """Get the name of the rig."""
         return self.config.name
+
+    @property
+    def whole_text(self) -> str:
+        """Get everything that was read, for provenance."""
+        if self.extended is None:
+            return self.text
+        return f"{self.text}\n# --- extends: {self.extended.path.name}\n{self.extended.whole_text}"
 
     def load_heightmap(self, announce: Callable[[str], None] | None = None) -> HeightMap:
         """Make or read the terrain model; ``announce`` is told of slow steps.
@@ -77,6 +103,8 @@ class Rig:
         """
         from tronlab.terrain.load import load_terrain
 
+        if self.extended is not None and self.config.terrain is self.extended.config.terrain:
+            return self.extended.load_heightmap(announce)
         return load_terrain(self.config.terrain, base_dir=self.path.parent, announce=announce)
 
     def open_devices(
@@ -154,5 +182,27 @@ def load_rig(path: Path) -> Rig:
     Raises:
         ConfigError: It cannot be read, or says something that cannot be.
     """
+    return _load_rig(path, variants=())
+
+
+def _load_rig(path: Path, *, variants: tuple[Path, ...]) -> Rig:
+    """Read a rig file; ``variants`` are the files that extend it."""
     text = read_text(path)
-    return Rig(config=parse_model(text, RigConfig, path=path), path=path, text=text)
+    if line_of(text, ("extends",)) is None:
+        return Rig(config=parse_model(text, RigConfig, path=path), path=path, text=text)
+    variant = parse_model(text, RigVariant, path=path)
+    if variant.extends.resolve() in (*variants, path.resolve()):
+        raise ConfigError(
+            f"the file extends itself by way of {variant.extends}",
+            path=path,
+            line=line_of(text, ("extends",)),
+            key="extends",
+        )
+    extended = _load_rig(variant.extends, variants=(*variants, path.resolve()))
+    replaced = {
+        name: getattr(variant, name)
+        for name in RigConfig.model_fields
+        if getattr(variant, name) is not None
+    }
+    config = extended.config.model_copy(update=replaced)
+    return Rig(config=config, path=path, text=text, extended=extended)

@@ -206,7 +206,7 @@ def _check_devices(job: _Job, devices: Devices) -> Provenance:
         campaign_name=job.campaign.name,
         campaign_yaml=job.campaign.text,
         rig_name=job.rig.name,
-        rig_yaml=job.rig.text,
+        rig_yaml=job.rig.whole_text,
         calibration_json=job.calibration_text,
         seed=job.seed,
         software=software_versions(),

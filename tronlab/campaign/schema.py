@@ -11,9 +11,15 @@ from typing import Any
 from pydantic import BaseModel
 
 from tronlab.campaign.config import CampaignConfig
-from tronlab.campaign.rig import RigConfig
+from tronlab.campaign.rig import RigConfig, RigVariant
 
-MODELS: Mapping[str, type[BaseModel]] = {"campaign": CampaignConfig, "rig": RigConfig}
+MODELS: Mapping[str, type[BaseModel]] = {
+    "campaign": CampaignConfig,
+    "rig": RigConfig,
+    "rig-variant": RigVariant,
+}
+DESCRIBED = ("campaign", "rig")
+"""Files whose keys the page lists; a variant of a rig has a rig's."""
 SCHEMA_DIR = Path("campaigns/schema")
 REFERENCE_PAGE = Path("docs/reference/campaign.md")
 _LIMITS = {
@@ -54,10 +60,16 @@ def _reference_page(schemas: Mapping[str, dict[str, Any]]) -> str:
         "Generated from the models by `python -m tronlab.campaign.schema`; do not edit.",
         "Lengths in metres, times in seconds, angles in degrees: the end of a key says which.",
     ]
-    for name, schema in schemas.items():
+    for name in DESCRIBED:
+        schema = schemas[name]
         lines += ["", f"## {name.capitalize()} file", ""]
         lines += ["| key | type | default | |", "|---|---|---|---|"]
         lines += _rows(schema, schema, prefix="")
+    lines += [
+        "",
+        "A rig file with the key `extends` takes over the rig file named there and replaces the"
+        " sections it has itself, whole.",
+    ]
     return "\n".join(lines) + "\n"
 
 

@@ -14,8 +14,10 @@ from tronlab.cli.dataset import dataset
 from tronlab.cli.demo import demo
 from tronlab.cli.exit_codes import INTERRUPTED, USER_ERROR
 from tronlab.cli.report import report
+from tronlab.cli.rig import rig
 from tronlab.cli.run import run
 from tronlab.cli.score import score
+from tronlab.cli.twin import twin
 from tronlab.errors import TronlabError
 
 app = typer.Typer(
@@ -28,6 +30,8 @@ app = typer.Typer(
 for command in (demo, run, score, report, calibrate):
     app.command()(command)
 app.add_typer(dataset, name="dataset")
+app.add_typer(rig, name="rig")
+app.add_typer(twin, name="twin")
 
 
 @app.callback(invoke_without_command=True)

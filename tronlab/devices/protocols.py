@@ -3,6 +3,7 @@
 Every method may raise ``NotConnectedError``, ``DeviceTimeoutError`` or ``DeviceFaultError``.
 """
 
+from collections.abc import Mapping
 from typing import Literal, Protocol, TypeAlias, runtime_checkable
 
 from tronlab.devices.readings import (
@@ -37,6 +38,15 @@ class Device(Protocol):
 
     def identify(self) -> DeviceIdentity:
         """Read maker, model, serial number and firmware from the device."""
+        ...
+
+
+@runtime_checkable
+class Diagnosable(Protocol):
+    """A device that can say in which state it is; not every one can."""
+
+    def diagnose(self) -> Mapping[str, str]:
+        """Read what a person wants to know of its state, by name; changes and moves nothing."""
         ...
 
 

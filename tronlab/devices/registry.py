@@ -18,6 +18,8 @@ from tronlab.errors import ConfigError, TronlabError
 from tronlab.yaml_models import parse_mapping
 
 ENTRY_POINT_GROUP = "tronlab.devices"
+SIMULATOR_GROUP = "tronlab.simulators"
+"""Modules that run as ``python -m``, and have ``FAULTS``: name of each fault, and what happens."""
 
 KINDS: Mapping[str, Any] = {
     "robot": Robot,
@@ -84,6 +86,11 @@ class Devices:
 def known_drivers() -> dict[str, EntryPoint]:
     """Give every installed driver by name."""
     return {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP)}
+
+
+def known_simulators() -> dict[str, EntryPoint]:
+    """Give every installed simulator by the name of the driver that talks to it."""
+    return {point.name: point for point in entry_points(group=SIMULATOR_GROUP)}
 
 
 def make_device(driver: str, kind: str, context: DeviceContext) -> Device:

@@ -2,10 +2,11 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import TypeVar
+from typing import Annotated, TypeVar
 
 import numpy as np
 from numpy.random import Generator
+from pydantic import Field
 
 from tronlab.devices.protocols import OperatorTask
 from tronlab.devices.readings import (
@@ -22,8 +23,10 @@ from tronlab.errors import ConfigError, DeviceTimeoutError, LimitError, NotConne
 from tronlab.twin.instruments import CameraOptics, Positioning, TrackerOptics, noise_of
 from tronlab.twin.reach import check_reach
 from tronlab.twin.sensor import HIGHEST_CODE
+from tronlab.twin.server import RemoteState
 from tronlab.twin.truth import deviate
-from tronlab.twin.world import World, WorldSetup
+from tronlab.twin.world import WallClock, World, WorldSetup
+from tronlab.yaml_models import Model
 
 WORLD_KEY = "tronlab.twin.world"
 """Where the devices of a rig keep their common world in ``DeviceContext.shared``."""
@@ -52,11 +55,13 @@ class _View(ABC):
     def connect(self) -> None:
         """Make the device ready."""
         self._world.faults.count(self._kind, "connect", name=self._name)
+        self._world.state.read()
         self._is_connected = True
 
     def close(self) -> None:
         """Close the connection."""
         self._is_connected = False
+        self._world.state.close()
 
     def identify(self) -> DeviceIdentity:
         """Read maker, model, serial number and firmware."""
@@ -328,19 +333,27 @@ def open_operator(context: DeviceContext) -> TwinOperator:
     return TwinOperator(context)
 
 
+class TwinOptions(Model):
+    """Options of a simulated device: how it behaves is set in section ``world``."""
+
+    world: Annotated[str, Field(pattern=r"^\S+:\d+$")] | None = None
+    """HOST:PORT of the laboratory that ``tronlab twin up`` serves; by default one of its own."""
+
+
 def _common_world(context: DeviceContext) -> World:
     """Give the world of this rig; its first device makes it.
 
     Raises:
-        ConfigError: The rig file describes no world, or has options for a simulated device.
+        ConfigError: The rig file describes no world, or has options no simulated device knows.
     """
     setup = context.world
     if not isinstance(setup, WorldSetup):
         raise ConfigError(f"simulated device '{context.name}' needs this section", key="world")
-    if context.options:
-        raise ConfigError(
-            f"a simulated device has no options, but got: {', '.join(sorted(context.options))};"
-            " how it behaves is set in section 'world'",
-            key=f"devices.{context.name}.options",
-        )
-    return context.share(WORLD_KEY, lambda: World(setup))
+    options = context.parse_options(TwinOptions)
+    if options.world is None:
+        return context.share(WORLD_KEY, lambda: World(setup))
+    host, _, port = options.world.rpartition(":")
+    return context.share(
+        f"{WORLD_KEY} at {options.world}",
+        lambda: World(setup, clock=WallClock(), state=RemoteState(host, int(port))),
+    )

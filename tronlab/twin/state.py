@@ -119,6 +119,10 @@ class StateStore(Faults, Protocol):
         """Change some fields at once."""
         ...
 
+    def close(self) -> None:
+        """Let go of what it holds; it may be used again."""
+        ...
+
 
 class ArmedFaults:
     """Faults kept in this process."""
@@ -161,3 +165,6 @@ class LocalState(ArmedFaults):
         """Change some fields at once."""
         with self._lock:
             self._state = replace(self._state, **values)
+
+    def close(self) -> None:
+        """Nothing to let go."""
