@@ -1,14 +1,19 @@
 """Every installed device driver against the Protocol of its kind, in one file.
 
-A driver belongs to the kind its name ends in: ``twin.robot`` is a robot. A rule that a driver
-cannot keep is listed in ``EXCEPTED`` with the reason; the list is meant to shrink.
+A driver belongs to the kind its name ends in: ``twin.robot`` is a robot. Drivers of real devices
+talk to the simulators of a laboratory on the wire, which run as long as these tests. A rule that a
+driver cannot keep is listed in ``EXCEPTED`` with the reason; the list is meant to shrink.
 """
 
 import inspect
+from contextlib import ExitStack
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from wire_laboratory import running, write_twin_rig, write_wire_rig
 
 from tronlab.campaign.rig import load_rig
 from tronlab.devices.protocols import Device
@@ -20,7 +25,13 @@ from tronlab.devices.readings import (
     RobotReading,
     RoomReading,
 )
-from tronlab.devices.registry import KINDS, DeviceContext, known_drivers, make_device
+from tronlab.devices.registry import (
+    KINDS,
+    DeviceContext,
+    known_drivers,
+    known_simulators,
+    make_device,
+)
 from tronlab.errors import LimitError, NotConnectedError
 from tronlab.geometry.poses import pose_along_boresight
 from tronlab.terrain.heightmap import HeightMap
@@ -35,10 +46,14 @@ EXCEPTED = {
 }
 """Which rule a driver does not keep, and why."""
 
-DRIVERS = sorted(known_drivers())
+PROTOCOLS = {"kuka.robot by kvp": ("kuka.robot", "kvp")}
+"""Drivers that speak more than one protocol, a second time."""
+
+DRIVERS = sorted([*known_drivers(), *PROTOCOLS])
 
 
 def kind_of(driver: str) -> str:
+    driver, _ = PROTOCOLS.get(driver, (driver, ""))
     return driver.rsplit(".", 1)[-1]
 
 
@@ -56,11 +71,32 @@ def _person_presses_enter(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr("builtins.input", lambda _prompt: "")
 
 
+@pytest.fixture(scope="module")
+def wire_options(tmp_path_factory: pytest.TempPathFactory):
+    """``wire_options(kind, protocol)`` starts the simulator once and gives its driver's options."""
+    folder = tmp_path_factory.mktemp("wire")
+    twin_path = write_twin_rig(folder)
+    with ExitStack() as stack:
+
+        @cache
+        def options(kind: str, protocol: str) -> dict[str, Any]:
+            (folder / f"{kind} {protocol}").mkdir()
+            path = write_wire_rig(folder / f"{kind} {protocol}", twin_path, protocol=protocol)
+            wire = stack.enter_context(running(path, twin_path, seed=1, only=(kind,)))
+            return getattr(wire.rig.config.devices, kind).options
+
+        yield options
+
+
 @pytest.fixture
-def make(rig):
+def make(rig, wire_options):
     """Make a device of a small laboratory: coarse camera, flat terrain."""
+    made: list[Device] = []
 
     def make_one(driver: str, *, name: str = "thing") -> Device:
+        kind = kind_of(driver)
+        driver, protocol = PROTOCOLS.get(driver, (driver, "eki"))
+        options = wire_options(kind, protocol) if driver in known_simulators() else {}
         spec = rig.config.laboratory
         camera = spec.camera.model_copy(
             update={"left_px": 648, "top_px": 480, "width_px": 64, "height_px": 48}
@@ -72,10 +108,13 @@ def make(rig):
                 np.zeros((23, 43), np.float32), 0.1, np.array([0.0, 0.0, 0.0])
             ),
         )
-        context = DeviceContext(name=name, options={}, seed=1, world=world)
-        return make_device(driver, kind_of(driver), context)
+        context = DeviceContext(name=name, options=options, seed=1, world=world)
+        made.append(make_device(driver, kind, context))
+        return made[-1]
 
-    return make_one
+    yield make_one
+    for device in made:
+        device.close()
 
 
 @pytest.fixture
@@ -83,6 +122,16 @@ def target(rig):
     return rig.config.laboratory.mounting.robot_target(
         pose_along_boresight([1.1, 2.1, 2.0], boresight=[0, 0, -1], right=[0, 1, 0])
     )
+
+
+def test_every_driver_of_the_wire_has_a_simulator_that_names_its_faults():
+    wire = {driver for driver in known_drivers() if not driver.startswith(("twin.", "console."))}
+    assert set(known_simulators()) == wire
+    for driver, point in known_simulators().items():
+        faults = point.load().FAULTS
+        kind = kind_of(driver)
+        assert faults
+        assert all(name.startswith(f"{kind}.") and what for name, what in faults.items())
 
 
 def test_the_list_of_exceptions_is_not_out_of_date():
@@ -153,7 +202,7 @@ def test_robot_stands_where_it_was_told(driver: str, make, target):
     robot = make(driver)
     robot.connect()
     robot.check(target)
-    robot.move(target, timeout_s=60.0)
+    robot.move(target, timeout_s=120.0)
     reading = robot.read()
     assert isinstance(reading, RobotReading)
     assert reading.rail_m == pytest.approx(target.rail_m, abs=1e-3)
@@ -169,7 +218,7 @@ def test_robot_refuses_what_it_cannot_reach_before_it_moves(driver: str, make, t
 
     robot = make(driver)
     robot.connect()
-    robot.move(target, timeout_s=60.0)
+    robot.move(target, timeout_s=120.0)
     with pytest.raises(LimitError, match=r"allowed"):
         robot.move(replace(target, rail_m=1e3), timeout_s=60.0)
     assert robot.read().rail_m == pytest.approx(target.rail_m, abs=1e-3)

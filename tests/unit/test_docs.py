@@ -21,7 +21,11 @@ from tronlab.yaml_models import parse_model
 
 ROOT = Path(__file__).parents[2]
 CONVENTIONS = ROOT / "docs/conventions.md"
-PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("campaigns/*.md")])
+PAGES = sorted(
+    page
+    for pattern in ("*.md", "docs/**/*.md", "campaigns/*.md", "drivers/*/README.md")
+    for page in ROOT.glob(pattern)
+)
 LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
 
 

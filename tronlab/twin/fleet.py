@@ -150,15 +150,15 @@ class Fleet:
             "--seed", str(seed), "--session", session,
         )  # fmt: skip
         self._stack = ExitStack()
-        self._simulators: list[Simulator] = []
+        self.simulators: list[Simulator] = []
         self.addresses: list[Address] = []
         with self._stack:
             for kind, module in modules.items():
                 announce(f"{kind}: python -m {module}")
                 simulator = Simulator(kind, module, arguments)
                 self._stack.callback(simulator.close)
-                self._simulators.append(simulator)
-            for simulator in self._simulators:
+                self.simulators.append(simulator)
+            for simulator in self.simulators:
                 self.addresses.extend(simulator.wait_until_ready(START_TIMEOUT_S))
             self._stack = self._stack.pop_all()
 
@@ -179,7 +179,7 @@ class Fleet:
         Raises:
             DeviceError: One has ended.
         """
-        for simulator in self._simulators:
+        for simulator in self.simulators:
             simulator.check_alive()
 
     def close(self) -> None:

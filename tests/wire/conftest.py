@@ -1,0 +1,106 @@
+"""A small laboratory on the wire: all simulators in processes of their own, on free ports."""
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from ruamel.yaml import YAML
+from wire_laboratory import (
+    RIGS,
+    WireLaboratory,
+    running,
+    write_twin_rig,
+    write_wire_rig,
+    write_yaml,
+)
+
+from tronlab.calib.record import IDENTIFIED_DEVICES, CalibrationRecord
+from tronlab.campaign.provenance import device_identities
+from tronlab.campaign.rig import load_rig
+from tronlab.devices.registry import connected
+from tronlab.terrain.heightmap import HeightMap
+from tronlab.twin.truth import build_laboratory
+from tronlab.twin.world import World
+
+
+@pytest.fixture(autouse=True)
+def own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
+
+
+@pytest.fixture
+def twin_path(tmp_path: Path) -> Path:
+    """Rig file of the laboratory in one process."""
+    return write_twin_rig(tmp_path)
+
+
+@pytest.fixture
+def start_wire(tmp_path: Path, twin_path: Path) -> Iterator[Callable[..., WireLaboratory]]:
+    """``start_wire(protocol="kvp")`` starts the simulators, ended after the test."""
+    with ExitStack() as stack:
+
+        def start(*, protocol: str = "eki") -> WireLaboratory:
+            path = write_wire_rig(tmp_path, twin_path, protocol=protocol)
+            return stack.enter_context(running(path, twin_path, seed=3))
+
+        yield start
+
+
+@pytest.fixture
+def make_record(tmp_path: Path, twin_path: Path) -> Path:
+    """A perfect calibration record of the laboratory, made without the wire."""
+    rig = load_rig(twin_path)
+    assert rig.config.world is not None
+    laboratory = build_laboratory(rig.config.laboratory, rig.config.world)
+    flat = HeightMap(np.zeros((3, 3), np.float32), 1.0, np.zeros(3))
+    devices = rig.open_devices(0, load_heightmap=lambda: flat)
+    with connected(devices):
+        identities = device_identities(devices)
+    path = tmp_path / "record.json"
+    CalibrationRecord(
+        rig_name=rig.name,
+        created_utc="2026-01-01T00:00:00Z",
+        software={"tronlab": "test"},
+        devices={name: identities[name] for name in IDENTIFIED_DEVICES},
+        camera=laboratory.camera,
+        camera_covariance=1e-6 * np.eye(9),
+        trs_from_trk=laboratory.trk_from_trs.inv(),
+        trs_from_trk_covariance=1e-12 * np.eye(6),
+        tmac_from_cam=laboratory.flange_from_tmac.inv() * laboratory.flange_from_cam,
+        tmac_from_cam_covariance=1e-12 * np.eye(6),
+        p_lamp_trs_m=laboratory.p_light_trs_m,
+        p_lamp_trs_covariance_m2=1e-6 * np.eye(3),
+        statistics={},
+        inputs={},
+    ).save(path)
+    return path
+
+
+@pytest.fixture
+def campaign_path(tmp_path: Path, make_record: Path, twin_path: Path) -> Path:
+    """Four shots of the repository's straight line."""
+    root: dict[str, Any] = YAML().load(
+        (RIGS.parent / "straight_line.yaml").read_text(encoding="utf-8")
+    )
+    root.update(rig=str(twin_path), calibration=str(make_record), seed=3)
+    root["trajectory"].update(start_trs_m=[1.08, 2.08, 3.0], end_trs_m=[1.08, 2.08, 2.7])
+    root["trajectory"]["n_points"] = 4
+    root["database"]["n_views"] = 2
+    root["tracker"]["window_s"] = 0.2
+    root["settle"]["wait_s"] = 0.05
+    return write_yaml(tmp_path / "campaign.yaml", root)
+
+
+@pytest.fixture
+def replay() -> Callable[[WireLaboratory], World]:
+    """A world in this process of the same laboratory, whose state can be set."""
+
+    def make(wire: WireLaboratory) -> World:
+        setup = load_rig(wire.twin_path).world_setup()
+        assert setup is not None
+        return World(setup)
+
+    return make

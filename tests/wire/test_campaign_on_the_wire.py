@@ -1,0 +1,189 @@
+"""A campaign through the real drivers, over sockets, against simulators in their own processes."""
+
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+from wire_laboratory import WireLaboratory
+
+from tronlab.campaign.run import run_campaign
+from tronlab.dataset.reader import Dataset
+from tronlab.dataset.validate import validate
+from tronlab.errors import NotConnectedError
+from tronlab.twin.instruments import CameraOptics, noise_of
+from tronlab.twin.state import WorldState
+from tronlab.twin.world import World
+
+Start = Callable[..., WireLaboratory]
+SEED = 3
+
+
+class Recorder:
+    """A live view that remembers, and acts when a shot is committed."""
+
+    def __init__(self, on_shot: Callable[[int], None] = lambda n_done: None) -> None:
+        self.texts: list[str] = []
+        self._on_shot = on_shot
+
+    def announce(self, text: str) -> None:
+        self.texts.append(text)
+
+    def advance(self, stage: str, *, n_done: int, n_all: int) -> None:
+        if stage == "shots" and n_done:
+            self._on_shot(n_done)
+
+    def said(self, text: str) -> bool:
+        return any(text in line for line in self.texts)
+
+
+def later(delay_s: float, action: Callable[[], None]) -> threading.Timer:
+    timer = threading.Timer(delay_s, action)
+    timer.start()
+    return timer
+
+
+def ids_of(path: Path) -> list[int]:
+    with Dataset(path) as dataset:
+        return [int(shot_id) for shot_id in dataset.shot_ids]
+
+
+@pytest.mark.parametrize("protocol", ["eki", "kvp"])
+def test_the_campaign_runs_unchanged_and_gives_the_same(
+    start_wire: Start,
+    campaign_path: Path,
+    replay: Callable[[WireLaboratory], World],
+    tmp_path: Path,
+    protocol: str,
+):
+    """Same shots; truth within the tracker's noise; equal images where the true pose is equal."""
+    wire = start_wire(protocol=protocol)
+    states: list[WorldState] = []
+    live = Recorder(lambda _n_done: states.append(wire.state.read()))
+    path = run_campaign(
+        campaign_path, rig_path=wire.rig.path, out_dir=tmp_path / "wire", seed=SEED, live=live
+    )
+    in_process = run_campaign(campaign_path, out_dir=tmp_path / "twin", seed=SEED)
+    assert validate(path) == []
+
+    world = replay(wire)
+    optics = CameraOptics(world, noise_of("camera", seed=SEED, session="run"))
+    misfits: list[float] = []
+    with Dataset(path) as dataset, Dataset(in_process) as other:
+        assert dataset.status == other.status == "complete"
+        assert list(dataset.shot_ids) == list(other.shot_ids) == [1, 2, 3, 4]
+        for i, state in enumerate(states):
+            shot, twin_shot = dataset.shot(i), other.shot(i)
+            nominal = shot.trs_from_cam_nominal.as_matrix()
+            np.testing.assert_array_equal(nominal, twin_shot.trs_from_cam_nominal.as_matrix())
+            assert shot.robot.rail_m == pytest.approx(twin_shot.robot.rail_m, abs=1e-6)
+            assert shot.tracker.air is not None
+            assert shot.tracker.air.temperature_k == pytest.approx(shot.room.air_temperature_k)
+            assert shot.room.is_lamp_on
+
+            world.state.change(
+                robot_actual=state.robot_actual,
+                lamp_level=state.lamp_level,
+                trs_from_board=state.trs_from_board,
+            )
+            misfits.append(misfit(shot.truth, world))
+            image = optics.image(exposure_s=0.02, gain_db=0.0, pixel_format="Mono8")
+            np.testing.assert_array_equal(shot.frame.image, image)
+    assert sum(misfits) < chi2.ppf(1 - 1e-6, 6 * len(misfits))
+    assert not live.said("differ by")
+
+
+def misfit(truth: Any, world: World) -> float:
+    """Give the squared error of a shot's truth in units of its covariance; chi-square of 6."""
+    error = truth.trs_from_cam * world.truth.trs_from_cam.inv()
+    vector = np.concatenate(
+        [
+            error.rotation.as_rotvec(),
+            truth.trs_from_cam.translation - world.truth.trs_from_cam.translation,
+        ]
+    )
+    return float(vector @ np.linalg.solve(truth.covariance, vector))
+
+
+def test_an_open_door_suspends_the_campaign(start_wire: Start, campaign_path: Path, tmp_path: Path):
+    wire = start_wire()
+
+    def open_door(n_done: int) -> None:
+        if n_done == 1:
+            wire.state.change(is_door_closed=False)
+            timers.append(later(2.0, lambda: wire.state.change(is_door_closed=True)))
+
+    timers: list[threading.Timer] = []
+    live = Recorder(open_door)
+    path = run_campaign(campaign_path, rig_path=wire.rig.path, out_dir=tmp_path / "out", live=live)
+    assert live.said("waiting before shot 2: room: the door is open")
+    assert live.said("safe again: shot 2")
+    assert ids_of(path) == [1, 2, 3, 4]
+
+
+@pytest.mark.parametrize(
+    ("fault", "lasts_s", "says"),
+    [
+        ("tracker.beam_broken", 1.0, "tracker: "),
+        ("tracker.disconnect", None, "tracker: "),
+        ("camera.gone", 4.0, "camera: "),
+        ("camera.ignores_trigger", None, "camera: "),
+        ("robot.emergency_stop", 1.5, "waiting before shot 2: robot: "),
+        ("room.silent", 2.0, "room: "),
+    ],
+)
+def test_a_fault_that_passes_costs_time_but_no_shot(
+    start_wire: Start,
+    campaign_path: Path,
+    tmp_path: Path,
+    fault: str,
+    lasts_s: float | None,
+    says: str,
+):
+    wire = start_wire()
+    timers: list[threading.Timer] = []
+
+    def strike(n_done: int) -> None:
+        if n_done == 1 and lasts_s is None:
+            wire.state.arm(fault, times=1)
+        elif n_done == 1:
+            wire.state.arm(fault)
+            timers.append(later(lasts_s, lambda: wire.state.arm(fault, times=0)))
+
+    live = Recorder(strike)
+    path = run_campaign(campaign_path, rig_path=wire.rig.path, out_dir=tmp_path / "out", live=live)
+    assert live.said(says), live.texts
+    assert ids_of(path) == [1, 2, 3, 4]
+    assert validate(path) == []
+    with Dataset(path) as dataset:
+        assert dataset.shot(1).attempt > 1
+
+
+@pytest.mark.parametrize("kind", ["tracker", "camera", "robot", "room"])
+def test_a_device_that_dies_ends_the_campaign_and_the_dataset_is_readable(
+    start_wire: Start, campaign_path: Path, tmp_path: Path, kind: str
+):
+    wire = start_wire()
+
+    def kill(n_done: int) -> None:
+        if n_done == 2:
+            next(s for s in wire.fleet.simulators if s.kind == kind).close()
+
+    began = time.monotonic()
+    with pytest.raises(Exception, match=f"{kind}: ") as caught:
+        run_campaign(
+            campaign_path,
+            rig_path=wire.rig.path,
+            out_dir=tmp_path / "out",
+            live=Recorder(kill),
+        )
+    assert isinstance(caught.value, (NotConnectedError, TimeoutError)), caught.value
+    assert time.monotonic() - began < 120
+    with Dataset(tmp_path / "out" / "dataset.h5") as dataset:
+        assert dataset.status == "failed"
+        assert dataset.reason.startswith("shot 3, attempt ")
+        assert [dataset.image(i).shape for i in range(dataset.n_shots)] == [(128, 128)] * 2
