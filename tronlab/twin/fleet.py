@@ -93,9 +93,13 @@ class Simulator:
                 device=self.kind,
             )
 
+    def ask_to_end(self) -> None:
+        """Ask it to end, and do not wait."""
+        self._process.terminate()
+
     def close(self) -> None:
         """End it."""
-        self._process.terminate()
+        self.ask_to_end()
         try:
             self._process.wait(_END_TIMEOUT_S)
         except subprocess.TimeoutExpired:
@@ -158,6 +162,7 @@ class Fleet:
                 simulator = Simulator(kind, module, arguments)
                 self._stack.callback(simulator.close)
                 self.simulators.append(simulator)
+            self._stack.callback(self._ask_all_to_end)
             for simulator in self.simulators:
                 self.addresses.extend(simulator.wait_until_ready(START_TIMEOUT_S))
             self._stack = self._stack.pop_all()
@@ -185,3 +190,7 @@ class Fleet:
     def close(self) -> None:
         """End all of them."""
         self._stack.close()
+
+    def _ask_all_to_end(self) -> None:
+        for simulator in self.simulators:
+            simulator.ask_to_end()
