@@ -16,7 +16,7 @@ import pytest
 from wire_laboratory import running, write_twin_rig, write_wire_rig
 
 from tronlab.campaign.rig import load_rig
-from tronlab.devices.protocols import Device
+from tronlab.devices.protocols import Device, Diagnosable
 from tronlab.devices.readings import (
     DeviceIdentity,
     Frame,
@@ -187,6 +187,18 @@ def test_device_says_who_it_is_and_stays_it(driver: str, make):
     assert isinstance(identity, DeviceIdentity)
     assert identity.model
     assert device.identify() == identity
+
+
+@pytest.mark.parametrize("driver", DRIVERS)
+def test_a_device_that_says_its_state_says_it_in_words(driver: str, make):
+    device = make(driver)
+    if not isinstance(device, Diagnosable):
+        assert driver.startswith(("twin.", "console.")), "a real device can say its state"
+        return
+    device.connect()
+    facts = device.diagnose()
+    assert facts
+    assert all(isinstance(text, str) and text for text in facts.values())
 
 
 @pytest.mark.parametrize("driver", DRIVERS)

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from tronlab.devices.protocols import Device, Diagnosable, PoseTracker
+from tronlab.devices.protocols import Device, Diagnosable
 from tronlab.devices.registry import Devices
 from tronlab.errors import TronlabError
 
@@ -60,8 +60,6 @@ def _ask(device: Device) -> dict[str, str]:
         "serial number": identity.serial,
         "firmware": identity.firmware,
     }
-    if isinstance(device, PoseTracker):
-        facts["T-MAC"] = str(device.identify_target())
     if isinstance(device, Diagnosable):
         facts.update(device.diagnose())
     return {name: value or "not said" for name, value in facts.items()}

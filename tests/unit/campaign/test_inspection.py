@@ -24,7 +24,6 @@ def test_every_device_says_who_it_is_and_is_closed_again(devices: Devices, labor
         "serial number": "1",
         "firmware": "not said",
     }
-    assert findings["tracker"].facts["T-MAC"] == "Fake tmac 1"
     assert findings["robot"].driver == "fake.robot"
     assert findings["robot"].driver_file.name == "conftest.py"
     assert laboratory.log.count("close camera") == 1

@@ -1,0 +1,1 @@
+"""Room of the laboratory: PLC, lamp dimmer, lamp supply and air sensor."""
