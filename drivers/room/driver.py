@@ -1,8 +1,9 @@
 """Driver of the room: PLC, lamp and air sensor as one device."""
 
 import time
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager, suppress
+from dataclasses import asdict
 from pathlib import Path
 from typing import Protocol
 
@@ -136,6 +137,17 @@ class RoomDriver:
         """Read every safety input; raises nothing because of what they say."""
         with self._call("safety"):
             return self._plc.safety()
+
+    def diagnose(self) -> Mapping[str, str]:
+        """Read the safety inputs, and which parts the room has; nothing is switched."""
+        inputs = asdict(self.safety())
+        words = {
+            name.removeprefix("is_").replace("_", " "): "yes" if value else "NO"
+            for name, value in inputs.items()
+        }
+        parts = {"dimmer": self._dimmer, "supply": self._supply, "air sensor": self._air}
+        there = [name for name, part in parts.items() if part is not None]
+        return {**words, "besides the PLC": ", ".join(there) or "nothing"}
 
     def set_curtain(self, *, closed: bool) -> None:
         """Close or open the blackout curtain; returns when it is closed, or no longer is."""

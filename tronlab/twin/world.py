@@ -1,5 +1,6 @@
 """The one world behind all simulated devices: what is true, and what light reaches the camera."""
 
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -108,6 +109,7 @@ class World:
         self._load_heightmap = setup.load_heightmap
         self._make_renderer = make_renderer or _heightfield_renderer
         self._renderer: Renderer | None = None
+        self._seeing = threading.Lock()
         self._seen: tuple[object, NDArray[np.float32]] | None = None
 
     @property
@@ -137,20 +139,29 @@ class World:
         """
         self._ready_renderer()
 
+    def rehearse_view(self) -> None:
+        """Render once as if the lamp burned: the first time takes longer than all others.
+
+        Raises:
+            TerrainError: The terrain cannot be made or read.
+        """
+        self._render_terrain(self.laboratory.camera, self.truth.trs_from_cam)
+
     def radiance(self, region: CameraSpec | None = None) -> NDArray[np.float32]:
         """Give the radiance of what the camera sees now, shape (rows, columns), W/(m2 sr).
 
-        As long as nothing changes it is rendered once.
+        As long as nothing changes it is rendered once, however many threads ask.
 
         Args:
             region: The camera with the region of the sensor to read out; by default the rig's.
         """
         state, region = self.state.read(), region or self.spec.camera
         seen = state.view, region
-        if self._seen is None or self._seen[0] != seen:
-            camera = read_out(self.laboratory.sensor, region)
-            self._seen = seen, self._render(camera, self._truth(state), state.lamp_level)
-        return self._seen[1]
+        with self._seeing:
+            if self._seen is None or self._seen[0] != seen:
+                camera = read_out(self.laboratory.sensor, region)
+                self._seen = seen, self._render(camera, self._truth(state), state.lamp_level)
+            return self._seen[1]
 
     def _truth(self, state: WorldState) -> Truth:
         board = state.trs_from_board

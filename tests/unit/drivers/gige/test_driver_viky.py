@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-genicam = pytest.importorskip("genicam", reason="needs the extra 'lab'")
+pytest.importorskip("genicam", reason="needs the extra 'lab'")
+
+import genicam
 
 from drivers.gige.driver import open_camera
 from tronlab.devices.registry import DeviceContext
@@ -69,7 +71,7 @@ def test_region_is_set_before_the_buffers_are_made():
 
 def test_what_the_camera_cannot_do_is_said(camera):
     camera.connect()
-    with pytest.raises(LimitError, match=r"^here: grab: this camera has no trigger selector"):
+    with pytest.raises(LimitError, match=r"^here: grab: this camera has no trigger source"):
         camera.grab(timeout_s=1.0)
     with pytest.raises(LimitError, match=r"pixel format is 'Mono12', allowed RGBa8, Mono8"):
         camera.configure(exposure_s=0.01, gain_db=0.0, pixel_format="Mono12")
@@ -80,14 +82,15 @@ def test_what_the_camera_cannot_do_is_said(camera):
 
 
 def test_cameras_that_answered_are_listed_if_none_is_meant():
+    listed = "; ".join(rf"Viky, serial {i}, id VikyTL_DEV_\w+" for i in range(3))
     with pytest.raises(
-        NotConnectedError, match=r"no camera with serial '7' answers.*found: Viky 0; Viky 1; Viky 2"
+        NotConnectedError, match=rf"no camera with serial '7' answers.*found: {listed}\."
     ):
         make(serial="7").connect()
 
 
 def test_several_cameras_of_one_model_are_refused():
-    with pytest.raises(NotConnectedError, match=r"3 cameras have model 'Viky'.*which by serial"):
+    with pytest.raises(NotConnectedError, match=r"3 cameras have model 'Viky'.*Say which"):
         make(model="Viky").connect()
 
 

@@ -50,12 +50,20 @@ class Simulator:
         return f"127.0.0.1:{self.port}"
 
     def end(self) -> None:
-        self.process.send_signal(signal.SIGCONT)
         self.process.kill()
-        self.process.communicate()
+        self.process.wait()
+        self.process.stdout.close()
 
 
 Start = Callable[..., Simulator]
+
+
+def start_simulator(*faults: str, port: int = 0) -> Simulator:
+    arguments = [f"--fault={fault}" for fault in faults]
+    command = [sys.executable, "-m", "drivers.gige.simulator", f"--port={port}", *arguments]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    return Simulator(process, json.loads(process.stdout.readline())["port"])
 
 
 @pytest.fixture
@@ -64,17 +72,20 @@ def start() -> Iterator[Start]:
     running: list[Simulator] = []
 
     def start_one(*faults: str, port: int = 0) -> Simulator:
-        arguments = [f"--fault={fault}" for fault in faults]
-        command = [sys.executable, "-m", "drivers.gige.simulator", f"--port={port}", *arguments]
-        process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-        assert process.stdout is not None
-        simulator = Simulator(process, json.loads(process.stdout.readline())["port"])
-        running.append(simulator)
-        return simulator
+        running.append(start_simulator(*faults, port=port))
+        return running[-1]
 
     yield start_one
     for simulator in running:
         simulator.end()
+
+
+@pytest.fixture(scope="module")
+def sound() -> Iterator[Simulator]:
+    """One without faults, for all tests that leave it running."""
+    simulator = start_simulator()
+    yield simulator
+    simulator.end()
 
 
 @pytest.fixture
@@ -95,11 +106,11 @@ def make() -> Iterator[Callable[..., object]]:
 
 
 @pytest.fixture
-def connect(start: Start, make):
+def connect(start: Start, sound: Simulator, make):
     """The factory ``connect(*faults, **options)`` of cameras that are configured."""
 
     def connect_one(*faults: str, exposure_s: float = 0.001, **options: object):
-        camera = make(start(*faults), **options)
+        camera = make(start(*faults) if faults else sound, **options)
         camera.connect()
         camera.configure(exposure_s=exposure_s, gain_db=0.0, pixel_format="Mono8")
         return camera
@@ -114,8 +125,8 @@ def assert_is_pattern(frame: Frame) -> None:
     np.testing.assert_array_equal(frame.image, expected)
 
 
-def test_camera_says_who_it_is(start: Start, make):
-    camera = make(start())
+def test_camera_says_who_it_is(sound: Simulator, make):
+    camera = make(sound)
     camera.connect()
     identity = camera.identify()
     assert identity.maker == "Allied Vision Technologies"
@@ -154,8 +165,8 @@ def test_region_is_read_out(connect, region: dict[str, int]):
     assert offsets == [region["left_px"], region["top_px"]]
 
 
-def test_region_beyond_the_sensor_is_refused(start: Start, make):
-    camera = make(start(), region={**SMALL, "width_px": 1361})
+def test_region_beyond_the_sensor_is_refused(sound: Simulator, make):
+    camera = make(sound, region={**SMALL, "width_px": 1361})
     with pytest.raises(LimitError, match=r"^here: connect: width is 1361 px, allowed .* 1360 px"):
         camera.connect()
     with pytest.raises(NotConnectedError, match="not connected"):
@@ -179,6 +190,16 @@ def test_what_the_camera_cannot_do_changes_nothing(connect, setting, message: st
         camera.configure(**{**wanted, **setting})
     frame = camera.grab(timeout_s=5.0)
     assert (frame.exposure_s, frame.gain_db, frame.pixel_format) == (0.005, 0.0, "Mono8")
+
+
+def test_exposure_is_changed_while_the_camera_waits_for_triggers(connect):
+    camera = connect()
+    for i, exposure_s in enumerate((0.003, 0.05), start=1):
+        camera.configure(exposure_s=exposure_s, gain_db=float(i), pixel_format="Mono8")
+        before_s = time.time()
+        frame = camera.grab(timeout_s=5.0)
+        assert time.time() - before_s >= exposure_s
+        assert (frame.exposure_s, frame.gain_db, frame.frame_id) == (exposure_s, i, i)
 
 
 def test_packet_size_is_set(connect):
@@ -254,6 +275,13 @@ def test_stream_and_grab_do_not_mix_but_follow_each_other(connect):
         assert len(list(frames)) == 2
 
 
+def test_stream_that_is_begun_late_begins_all_the_same(connect):
+    camera = connect()
+    frames = camera.stream(2)
+    camera.grab(timeout_s=5.0)
+    assert len(list(frames)) == 2
+
+
 def test_stream_counts_frames_nobody_fetched_in_time(connect):
     camera = connect(n_buffers=4)
     frames = camera.stream(rate_hz=200.0)
@@ -277,26 +305,31 @@ def test_closed_camera_ends_its_stream_with_an_error(connect):
 def test_rate_the_camera_cannot_do_is_refused(connect):
     camera = connect()
     with pytest.raises(LimitError, match=r"^here: stream: frame rate is 1e\+06 Hz, allowed"):
-        camera.stream(rate_hz=1e6)
+        next(camera.stream(rate_hz=1e6))
+    assert_is_pattern(camera.grab(timeout_s=5.0))
 
 
 @pytest.mark.parametrize("key", ["serial", "model"])
-def test_camera_is_found_by_name(start: Start, make, key: str):
-    simulator = start()
+def test_camera_is_found_by_name(sound: Simulator, make, key: str):
     names = {"serial": SERIAL, "model": MODEL}
-    camera = make(interfaces=[simulator.address], **{key: names[key]})
+    camera = make(interfaces=[sound.address], **{key: names[key]})
     camera.connect()
     assert camera.identify().serial == SERIAL
 
 
-def test_cameras_that_answered_are_listed(start: Start, make):
-    places = [start().address, start().address]
+def test_cameras_that_answered_are_listed(start: Start, sound: Simulator, make):
+    places = [start().address, sound.address]
     with pytest.raises(
         NotConnectedError, match=rf"no camera with serial 'x' .*found: .*{SERIAL}.*; .*{SERIAL}"
     ):
         make(serial="x", interfaces=places).connect()
-    with pytest.raises(NotConnectedError, match=r"2 cameras have model 'GC1380H.*by serial"):
+    with pytest.raises(NotConnectedError, match=r"2 cameras have model 'GC1380H.*Say which"):
         make(model=MODEL, interfaces=places).connect()
+
+
+def test_interface_this_computer_has_not_is_named(make):
+    with pytest.raises(NotConnectedError, match=r"no network interface 'eth77'; it has lo"):
+        make(serial="x", interfaces=["eth77"]).connect()
 
 
 def test_address_where_no_camera_is_says_so(start: Start, make):
@@ -306,8 +339,10 @@ def test_address_where_no_camera_is_says_so(start: Start, make):
         make(simulator).connect()
 
 
-def test_two_cameras_work_in_one_process(connect):
-    cameras = [connect(name="left"), connect(name="right")]
+def test_two_cameras_work_in_one_process(start: Start, sound: Simulator, make):
+    cameras = [make(simulator, name="twin") for simulator in (start(), sound)]
+    for camera in cameras:
+        camera.connect()
     for _ in range(3):
         for camera in cameras:
             assert_is_pattern(camera.grab(timeout_s=5.0))
@@ -315,19 +350,36 @@ def test_two_cameras_work_in_one_process(connect):
     assert_is_pattern(cameras[1].grab(timeout_s=5.0))
 
 
-def test_camera_held_by_another_application_is_denied(start: Start, make):
-    simulator = start()
-    holder = make(simulator, name="holder")
+def test_camera_held_by_another_application_is_denied(
+    sound: Simulator, make, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setattr("drivers.gige.connection.HEARTBEAT_S", 0.3)
+    holder = make(sound, name="holder")
     holder.connect()
     with pytest.raises(AccessDeniedError, match=r"^here: connect: another application controls"):
-        make(simulator).connect()
+        make(sound).connect()
     holder.close()
-    second = make(simulator)
+    second = make(sound)
     second.connect()
     assert second.identify().serial == SERIAL
 
 
-def test_camera_that_says_it_is_held_is_denied(start: Start, make):
+def test_camera_is_taken_over_from_an_application_that_was_killed(sound: Simulator, make):
+    holder = (
+        "import os, sys; from drivers.gige.driver import open_camera;"
+        "from tronlab.devices.registry import DeviceContext;"
+        "options = {'address': sys.argv[1]};"
+        "context = DeviceContext(name='holder', options=options, seed=0, world=None);"
+        "open_camera(context).connect(); os._exit(0)"
+    )
+    subprocess.run([sys.executable, "-c", holder, sound.address], check=True)
+    camera = make(sound)
+    camera.connect()
+    assert_is_pattern(camera.grab(timeout_s=5.0))
+
+
+def test_camera_that_says_it_is_held_is_denied(start: Start, make, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("drivers.gige.connection.HEARTBEAT_S", 0.3)
     with pytest.raises(AccessDeniedError, match="another application controls"):
         make(start("camera.held")).connect()
 
@@ -419,12 +471,11 @@ def test_camera_lost_in_a_stream_is_noticed(start: Start, make):
     next(frames)
     simulator.end()
     with pytest.raises((NotConnectedError, DeviceTimeoutError), match=r"^here: stream: "):
-        for _ in range(100):
-            next(frames)
+        list(frames)
 
 
-def test_nothing_is_left_after_close(start: Start, make):
-    camera = make(start())
+def test_nothing_is_left_after_close(sound: Simulator, make):
+    camera = make(sound)
     camera.connect()
     camera.close()
     before = _n_native_threads(), threading.active_count(), len(os.listdir("/proc/self/fd"))

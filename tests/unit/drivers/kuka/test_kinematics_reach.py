@@ -55,7 +55,7 @@ def margin_deg(path):
 
 def test_every_pose_of_the_straight_line_is_reached_in_one_branch(rig, parked):
     campaign = load_campaign(CAMPAIGNS / "straight_line.yaml")
-    poses = camera_poses(campaign.trajectory)
+    poses = camera_poses(campaign.config.trajectory)
     assert len(poses) == 61
     path = follow(poses, parked, rig.config.laboratory.mounting)
     assert {Branch.of(axes) for axes in path} == {Branch.of(parked)}
@@ -75,7 +75,7 @@ def test_every_station_of_the_calibration_is_reached(rig, parked):
 def test_the_rails_of_all_targets_leave_room_to_be_approached(rig):
     laboratory = rig.config.laboratory
     campaign = load_campaign(CAMPAIGNS / "straight_line.yaml")
-    poses = [*camera_poses(campaign.trajectory), *plan_stations(laboratory)]
+    poses = [*camera_poses(campaign.config.trajectory), *plan_stations(laboratory)]
     rails = [laboratory.mounting.robot_target(pose).rail_m for pose in poses]
     low, high = laboratory.mounting.rail_range_m
     assert low + 0.02 <= min(rails)

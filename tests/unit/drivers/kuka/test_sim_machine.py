@@ -56,12 +56,12 @@ def test_position_tells_pose_and_branch_of_the_axes(axes_deg):
 def test_status_and_turn_choose_among_the_solutions():
     axes = np.array([20.0, -60.0, 80.0, 30.0, -40.0, 50.0, 0.0])
     position = position_of(axes)
-    far_away = np.array([0.0, -90.0, 90.0, 0.0, 90.0, 0.0])
+    other_way_up = np.array([20.0, -60.0, 80.0, -150.0, 40.0, -130.0])
     found = axes_at(
-        flange_at(position), far_away, KR16, status=position.status, turn=position.turn
+        flange_at(position), other_way_up, KR16, status=position.status, turn=position.turn
     )
     np.testing.assert_allclose(found, axes[:6], atol=1e-6)
-    free = axes_at(flange_at(position), far_away, KR16)
+    free = axes_at(flange_at(position), other_way_up, KR16)
     assert free is not None
     assert not np.allclose(free, axes[:6], atol=1.0)
 

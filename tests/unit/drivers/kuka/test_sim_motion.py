@@ -50,7 +50,7 @@ def test_braking_stops_on_the_way_and_at_once():
 
 
 def test_slowest_axis_sets_the_time_and_no_axis_exceeds_its_speed():
-    end = HOME + [10.0, 0.0, -5.0, 0.0, 0.0, 60.0, 400.0]
+    end = HOME + np.array([10.0, 0.0, -5.0, 0.0, 0.0, 60.0, 400.0])
     path = axis_path(HOME, end)
     profile = axis_profile(path, KR16, speed=0.5, ramp=1.0)
     steps = np.linspace(0.0, profile.duration_s, 500)
@@ -64,7 +64,7 @@ def test_slowest_axis_sets_the_time_and_no_axis_exceeds_its_speed():
 
 
 def test_rail_that_is_where_it_shall_be_does_not_move_at_all():
-    end = HOME + [1.0, 0, 0, 0, 0, 0, 1e-9]
+    end = HOME + np.array([1.0, 0, 0, 0, 0, 0, 1e-9])
     assert axis_path(HOME, end).at(1.0)[6] == HOME[6]
 
 
