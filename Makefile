@@ -25,7 +25,10 @@ lint: .venv/ready
 types: .venv/ready
 	$(BIN)/pyright
 
-.venv/ready: pyproject.toml constraints.txt
+# The camera's GenTL producer, compiled by the installation; see hatch_build.py.
+PRODUCER := drivers/gige/producer
+
+.venv/ready: pyproject.toml constraints.txt hatch_build.py $(wildcard $(PRODUCER)/*.[ch])
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[lab,test]'
 	touch $@

@@ -1,7 +1,7 @@
 """The camera as tronlab knows it: configured, triggered by software, or running free."""
 
 import time
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -104,6 +104,23 @@ class GigeCamera:
                 serial=text("serial number") or found.serial,
                 firmware=text("firmware") or found.firmware,
             )
+
+    def diagnose(self) -> Mapping[str, str]:
+        """Read where the camera is and how it is set; takes no image."""
+        connection = self._connected("diagnose")
+        text = connection.features.text
+        with named_errors(self._name, "diagnose"):
+            settings = self._read_settings(connection.features, call="diagnose")
+            left, top = (text(offset) or "0" for offset in ("left column", "top row"))
+            facts = {
+                "address": connection.camera.address,
+                "region": f"{text('width')} x {text('height')} px from column {left}, row {top}",
+                "pixel format": text("pixel format"),
+                "exposure": f"{settings.exposure_s:g} s",
+                "gain": f"{settings.gain_db:g} dB",
+                "packet size": text("packet size"),
+            }
+        return {name: value for name, value in facts.items() if value}
 
     def configure(self, *, exposure_s: float, gain_db: float, pixel_format: str) -> None:
         """Set how frames are taken: ``Mono8`` or ``Mono12``; nothing changes if it cannot be.

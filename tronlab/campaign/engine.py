@@ -19,14 +19,13 @@ from bluesky import RunEngine
 from bluesky.utils import DuringTask, FailedStatus, Msg
 
 from tronlab.campaign.plan import Plan, Shot
-from tronlab.campaign.policy import MAX_ATTEMPTS, Remedy, remedy_for
+from tronlab.campaign.policy import MAX_ATTEMPTS, PAUSES_S, Remedy, remedy_for
 from tronlab.campaign.shot import ShotTaker
 from tronlab.campaign.stop import RunStoppedError, StopRequest
 from tronlab.dataset.records import ShotRecord
 from tronlab.errors import DeviceError
 
 _WORKER_PATIENCE_S = 5.0
-_RECONNECT_PAUSE_S = 1.0
 _SAFETY_LOOK_S = 0.5
 _LOOK_UP_S = 0.1
 
@@ -341,11 +340,16 @@ def _shot_until_taken(shot: Shot, crew: _Crew) -> Messages:
     taker, listener = crew.run.taker, crew.run.listener
     failures, suspensions = 0, 0
     unsafe_since_s: float | None = None
+    lost: str | None = None
     while True:
         if crew.run.stop.is_asked:
             raise RunStoppedError
         attempt = 1 + failures + suspensions
+        taker.begin(shot, attempt)
         try:
+            if lost is not None:
+                yield from _reconnect(lost, crew)
+                lost = None
             yield from _shot(shot, attempt, crew)
         except FailedStatus as failure:
             error, remedy = failure.__cause__, remedy_for(failure.__cause__)
@@ -365,7 +369,8 @@ def _shot_until_taken(shot: Shot, crew: _Crew) -> Messages:
                 raise
             listener.on_retry(shot, attempt, error)
             if remedy is Remedy.RECONNECT:
-                yield from _reconnect(error.device, crew)
+                lost = error.device
+            yield from _nap(PAUSES_S[failures - 1], crew)
         else:
             if unsafe_since_s is not None:
                 listener.on_resume(shot)
@@ -373,16 +378,13 @@ def _shot_until_taken(shot: Shot, crew: _Crew) -> Messages:
 
 
 def _reconnect(device: str, crew: _Crew) -> Messages:
-    """Connect a device again; if that fails too, the next attempt says so."""
-    yield from _nap(_RECONNECT_PAUSE_S, crew)
-    connect = _Measurement(
-        f"connect {device}", crew.run, lambda: _no_numbers(lambda: crew.run.taker.reconnect(device))
+    yield from _trigger(
+        _Measurement(
+            f"connect {device}",
+            crew.run,
+            lambda: _no_numbers(lambda: crew.run.taker.reconnect(device)),
+        )
     )
-    try:
-        yield from _trigger(connect)
-    except FailedStatus as failure:
-        if remedy_for(failure.__cause__) is not Remedy.RECONNECT:
-            raise
 
 
 def _nap(duration_s: float, crew: _Crew) -> Messages:
@@ -397,6 +399,7 @@ def _shot(shot: Shot, attempt: int, crew: _Crew) -> Messages:
     yield from _trigger(crew.guard)
     yield from bps.abs_set(crew.mover, (shot, attempt), wait=True)
     for step in crew.steps:
+        yield from _trigger(crew.guard)
         yield from _trigger(step)
     yield from bps.create(name="shots")
     for step in crew.steps:

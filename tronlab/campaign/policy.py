@@ -17,6 +17,9 @@ from tronlab.errors import (
 MAX_ATTEMPTS = 3
 """Failures of one shot until the run gives up; waiting for a safe cell is none."""
 
+PAUSES_S = (1.0, 5.0)
+"""Before the second and the third try: whoever stands in the beam may go on."""
+
 ROBOT = "robot"
 """Name of the device that is never connected again by itself: nobody knows what it does."""
 

@@ -1,4 +1,4 @@
-/* How the C interface answers: typed values into the caller's buffer, and the thread's last error. */
+/* How the C interface answers: values into the caller's buffer, and the thread's last error. */
 #ifndef TRONLAB_ANSWER_H
 #define TRONLAB_ANSWER_H
 

@@ -255,7 +255,9 @@ static void accept_payload(struct assembly *assembly, struct assembling *slot,
                            const struct gvsp_packet *packet)
 {
     if (!is_payload_sound(assembly, slot, packet)) {
-        slot->frame->is_too_large |= packet->packet_id > slot->capacity;
+        /* Of an image the leader told the size: a packet beyond it is a stray one. */
+        slot->frame->is_too_large |=
+            packet->packet_id > slot->capacity && !is_plain_image(slot->frame);
         assembly->counts.packets_malformed++;
         return;
     }

@@ -1,4 +1,4 @@
-/* The C interface of GenTL 1.5 as far as this producer serves it: own prototypes, standard names. */
+/* The C interface of GenTL 1.5 as far as this producer serves it; own text, standard names. */
 #ifndef TRONLAB_GENTL_H
 #define TRONLAB_GENTL_H
 

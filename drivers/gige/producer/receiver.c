@@ -129,7 +129,7 @@ static GC_ERROR prepare(struct receiver *receiver, const struct assembly_host *h
         return error;
     packet_size &= GVCP_PACKET_SIZE_MASK;
     if (packet_size < MIN_PACKET_SIZE)
-        return fail(GC_ERR_IO, "the camera's packet size (GevSCPSPacketSize) is %u; set at least %d",
+        return fail(GC_ERR_IO, "GevSCPSPacketSize of the camera is %u; set at least %d",
                     packet_size, MIN_PACKET_SIZE);
     receiver->packet_size = packet_size;
     receiver->bytes = malloc((size_t)BATCH * packet_size);

@@ -173,11 +173,14 @@ def _is_asked_for(axes_rad: FloatArray, status: int, turn: int) -> bool:
 
 
 def _abc_deg(rotation: Rotation) -> tuple[float, float, float]:
-    """Split a rotation into A, B, C; where B is ±90 deg, C is 0."""
+    """Split a rotation into A, B, C.
+
+    B and C are taken from what is left once A is undone, so that the three make up the rotation
+    even where B is nearly ±90 deg and A alone means little.
+    """
     r: FloatArray = rotation.as_matrix()
-    b = np.arctan2(-r[2, 0], np.hypot(r[0, 0], r[1, 0]))
-    if np.hypot(r[0, 0], r[1, 0]) < 1e-9:
-        a, c = np.arctan2(-r[0, 1], r[1, 1]), 0.0
-    else:
-        a, c = np.arctan2(r[1, 0], r[0, 0]), np.arctan2(r[2, 1], r[2, 2])
+    a = np.arctan2(r[1, 0], r[0, 0])
+    sine, cosine = np.sin(a), np.cos(a)
+    b = np.arctan2(-r[2, 0], cosine * r[0, 0] + sine * r[1, 0])
+    c = np.arctan2(sine * r[0, 2] - cosine * r[1, 2], cosine * r[1, 1] - sine * r[0, 1])
     return float(np.degrees(a)), float(np.degrees(b)), float(np.degrees(c))

@@ -221,6 +221,7 @@ class Cell:
             "INVERSE": self._inverse,
             **{f"EKI_{name}": getattr(self, f"_eki_{name.lower()}") for name in EKI},
         }
+        self.channels: dict[str, str] = {}
         self.queues: dict[str, deque[Any]] = defaultdict(deque)
         self.set_values: dict[str, Any] = {}
         self.told: list[dict[str, Any]] = []
@@ -301,10 +302,20 @@ class Cell:
     # What EthernetKRL does.
 
     def _eki_init(self, channel: str) -> Names:
-        self.queues.clear()
+        assert channel not in self.channels
+        self.channels[channel] = "ready"
         return Names(MSG_NO=0, BUFF=0)
 
-    _eki_open = _eki_clear = _eki_init
+    def _eki_open(self, channel: str) -> Names:
+        assert self.channels[channel] == "ready"
+        self.channels[channel] = "open"
+        return Names(MSG_NO=0, BUFF=0)
+
+    def _eki_clear(self, channel: str) -> Names:
+        del self.channels[channel]
+        if channel == "LabCommand":
+            self.queues.clear()
+        return Names(MSG_NO=0, BUFF=0)
 
     def _eki_checkbuffer(self, channel: str, tag: str) -> Names:
         return Names(MSG_NO=0, BUFF=len(self.queues[tag]))
@@ -588,10 +599,12 @@ class Pc:
         self.connect()
 
     def connect(self) -> None:
+        assert self.cell.channels == {"LabCommand": "open", "LabState": "open"}
         self.cell.g["$FLAG"].update({901: True, 903: True})
         self.cell.cycle()
 
     def leave(self) -> None:
+        self.cell.channels.update(LabCommand="lost", LabState="lost")
         self.cell.g["$FLAG"].update({901: False, 903: False})
         self.cell.cycle()
 
@@ -620,6 +633,29 @@ def test_message_moves_the_robot_and_the_state_tells(cell, pc):
     flags = {tag: value for tag, value in state.items() if tag.startswith("Flags/")}
     assert list(flags.values()) == [0, 0, 1, 1, 1, 3, 30, 1]
     assert any(told["RobotState/Flags/@Move"] for told in cell.told)
+
+
+def test_message_moves_along_a_line_as_it_says(cell, pc):
+    position = {f"Cart_{name}": value + 1.0 for name, value in HOME_POS.items()}
+    pc.send(message(1, 3, Cart_E1=30.0, **position) | {"@Vel": 20.0, "@Acc": 30.0})
+    assert cell.settle() == (1, 1, 0)
+    kind, goal = cell.motions[-1]
+    assert kind == "LIN"
+    assert goal == {**{name: value + 1.0 for name, value in HOME_POS.items()}, "E1": 30.0}
+    assert (cell.g["$VEL_EXTAX"], cell.g["$ACC_EXTAX"]) == ({1: 20.0}, {1: 30.0})
+
+
+@pytest.mark.parametrize("frame", ["Tool_No", "Base_No"])
+def test_message_for_another_tool_or_base_is_refused(cell, pc, frame):
+    pc.send(message(1, 1, Axis_A1=5.0, **{frame: 1}))
+    assert cell.settle() == (1, 1, 6)
+
+
+@pytest.mark.parametrize(("mode", "number"), [("#T1", 1), ("#T2", 2), ("#AUT", 3), ("#EX", 4)])
+def test_state_tells_the_mode_by_number(cell, pc, mode, number):
+    cell.g["$MODE_OP"] = mode
+    cell.cycle()
+    assert pc.state()["Flags/@Mode"] == number
 
 
 def test_two_messages_in_one_cycle_are_both_read(cell, pc):

@@ -11,6 +11,7 @@ import sys
 import time
 from typing import Any
 
+from genicam.genapi import GenericException as GenApiError
 from genicam.gentl import GenericException
 from harvesters.core import Harvester, ImageAcquirer
 
@@ -84,7 +85,7 @@ def lose(harvester: Harvester) -> None:
         tell(error=type(error).__name__, text=str(error))
     try:
         acquirer.destroy()
-    except GenericException as error:
+    except (GenericException, GenApiError) as error:  # nodes of a camera that is gone
         tell(error_of_destroy=type(error).__name__)
     acquirer = open_first(harvester)
     acquirer.start()
