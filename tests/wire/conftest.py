@@ -20,6 +20,7 @@ from wire_laboratory import (
 from tronlab.calib.record import IDENTIFIED_DEVICES, CalibrationRecord
 from tronlab.campaign.provenance import device_identities
 from tronlab.campaign.rig import load_rig
+from tronlab.campaign.simulators import simulator_faults
 from tronlab.devices.registry import connected
 from tronlab.terrain.heightmap import HeightMap
 from tronlab.twin.truth import build_laboratory
@@ -31,26 +32,50 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Monk
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.getbasetemp() / "cache"))
 
 
-@pytest.fixture
-def twin_path(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the laboratory's files are."""
+    return tmp_path_factory.mktemp("laboratory")
+
+
+@pytest.fixture(scope="module")
+def twin_path(folder: Path) -> Path:
     """Rig file of the laboratory in one process."""
-    return write_twin_rig(tmp_path)
+    return write_twin_rig(folder)
 
 
 @pytest.fixture
-def start_wire(tmp_path: Path, twin_path: Path) -> Iterator[Callable[..., WireLaboratory]]:
-    """``start_wire(protocol="kvp")`` starts the simulators, ended after the test."""
+def start_wire(folder: Path, twin_path: Path) -> Iterator[Callable[..., WireLaboratory]]:
+    """``start_wire(protocol="kvp")`` starts simulators, ended after the test."""
     with ExitStack() as stack:
 
         def start(*, protocol: str = "eki") -> WireLaboratory:
-            path = write_wire_rig(tmp_path, twin_path, protocol=protocol)
+            path = write_wire_rig(folder, twin_path, protocol=protocol)
             return stack.enter_context(running(path, twin_path, seed=3))
 
         yield start
 
 
+@pytest.fixture(scope="module")
+def lasting_wire(folder: Path, twin_path: Path) -> Iterator[WireLaboratory]:
+    """Simulators that several tests use one after the other."""
+    shared = folder / "shared"
+    shared.mkdir()
+    with running(write_wire_rig(shared, twin_path), twin_path, seed=3) as wire:
+        yield wire
+
+
 @pytest.fixture
-def make_record(tmp_path: Path, twin_path: Path) -> Path:
+def wire(lasting_wire: WireLaboratory) -> Iterator[WireLaboratory]:
+    """A laboratory that runs; whatever the test did to it is mended after it."""
+    yield lasting_wire
+    for fault in simulator_faults(lasting_wire.rig):
+        lasting_wire.state.arm(fault, times=0)
+    lasting_wire.state.change(is_door_closed=True)
+
+
+@pytest.fixture
+def record_path(tmp_path: Path, twin_path: Path) -> Path:
     """A perfect calibration record of the laboratory, made without the wire."""
     rig = load_rig(twin_path)
     assert rig.config.world is not None
@@ -80,12 +105,12 @@ def make_record(tmp_path: Path, twin_path: Path) -> Path:
 
 
 @pytest.fixture
-def campaign_path(tmp_path: Path, make_record: Path, twin_path: Path) -> Path:
+def campaign_path(tmp_path: Path, record_path: Path, twin_path: Path) -> Path:
     """Four shots of the repository's straight line."""
     root: dict[str, Any] = YAML().load(
         (RIGS.parent / "straight_line.yaml").read_text(encoding="utf-8")
     )
-    root.update(rig=str(twin_path), calibration=str(make_record), seed=3)
+    root.update(rig=str(twin_path), calibration=str(record_path), seed=3)
     root["trajectory"].update(start_trs_m=[1.08, 2.08, 3.0], end_trs_m=[1.08, 2.08, 2.7])
     root["trajectory"]["n_points"] = 4
     root["database"]["n_views"] = 2
