@@ -201,6 +201,13 @@ def receive(what: str, receiver: str, frames: Received, n_frames: int, *, is_che
     )
 
 
+def lateness_without_camera(duration_s: float) -> tuple[float, float]:
+    """Give how late the ticker comes on this computer when nothing is received, ms."""
+    with Ticker() as ticker:
+        time.sleep(duration_s)
+    return ticker.late_ms
+
+
 def measure_streams(streams: dict, port: int, *, duration_s: float) -> Generator[Run]:
     """Give the runs of every receiver, one after the other."""
     paced, fast = int(RATE_HZ * duration_s), int(100 * duration_s)
@@ -270,6 +277,9 @@ def main() -> None:
         table.add_row(*run.row)
         rates.setdefault(run.what, []).append(run.rate_hz)
     console.print(table)
+    console.print(
+        "no camera: late ms p99.9 {:.1f}, max {:.1f}".format(*lateness_without_camera(duration_s))
+    )
     for what, (own_hz, *peer_hz) in rates.items():
         for hz in peer_hz:
             console.print(f"{what}: driver / viva-genicam {own_hz / hz:.2f}")

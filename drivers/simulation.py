@@ -7,16 +7,18 @@ of one simulated laboratory, each in its own process.
 
 import argparse
 import json
+import os
 import signal
 import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, NoReturn
+from typing import Final, NoReturn
 
 from numpy.random import Generator
 
+from tronlab.devices.address import HIGHEST_PORT, parse_address
 from tronlab.devices.registry import DeviceContext
 from tronlab.errors import ConfigError, TronlabError
 from tronlab.twin.state import FOR_EVER, ArmedFaults, Faults
@@ -24,6 +26,10 @@ from tronlab.twin.world import World
 
 LOOPBACK: Final = "127.0.0.1"
 _USAGE_ERROR: Final = 2
+_HIGHEST_SEED: Final = 2**32 - 1
+_LOOK_S: Final = 0.2
+_PARENT: Final = os.getppid()
+"""Who started this process; asked at once, for it may be gone before the simulator is ready."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +66,8 @@ def start(
 ) -> Simulation:
     """Read the command line of a simulator; a mistake in it ends the process with one line.
 
+    From now until ``wait_until_stopped``, Ctrl-C and SIGTERM raise ``SystemExit``.
+
     Args:
         kind: Kind of device, as in the section ``devices`` of a rig file.
         faults: Faults it can be told to have, ``KIND.NAME``, and what happens then.
@@ -68,9 +76,11 @@ def start(
     """
     arguments = _parser(kind, faults, add_arguments).parse_args(argv)
     try:
-        return _simulation(kind, faults, arguments)
+        simulation = _simulation(kind, faults, arguments)
     except TronlabError as error:
         fail(error)
+    _when_told_to_stop(_unwind)  # until wait_until_stopped: getting ready may take a minute
+    return simulation
 
 
 def fail(error: TronlabError) -> NoReturn:
@@ -87,17 +97,18 @@ def announce(device: str, host: str, port: int | str) -> None:
 def wait_until_stopped() -> None:
     """Return at Ctrl-C or SIGTERM, or when the process that started this one is gone."""
     stopped = threading.Event()
-    for kind in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(kind, lambda _signal, _frame: stopped.set())
-    parent = _parent_id()
-    while not stopped.wait(0.2) and _parent_id() == parent:
+    _when_told_to_stop(lambda _signal, _frame: stopped.set())
+    while not stopped.wait(_LOOK_S) and os.getppid() == _PARENT:
         pass
 
 
-def _parent_id() -> int:
-    import os
+def _when_told_to_stop(handler: Callable[[int, object], None]) -> None:
+    for kind in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(kind, handler)
 
-    return os.getppid()
+
+def _unwind(_signal: int, _frame: object) -> NoReturn:
+    raise SystemExit
 
 
 def _parser(
@@ -110,11 +121,22 @@ def _parser(
         epilog="\n".join(["faults:", *(f"  {name:30} {what}" for name, what in faults.items())]),
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--host", help=f"address to listen at (default: {LOOPBACK})")
-    parser.add_argument("--port", type=int, help="port to listen at; 0: any free one")
+    parser.add_argument(
+        "--host", help=f"address to listen at (default: as in the rig file, else {LOOPBACK})"
+    )
+    parser.add_argument(
+        "--port",
+        type=_number_to(HIGHEST_PORT),
+        help="port to listen at; 0: any free one (default: as in the rig file, else the usual one)",
+    )
     parser.add_argument("--rig", type=Path, help="rig file with the options and the world")
     parser.add_argument("--world", help="HOST:PORT of the state of a running `tronlab twin up`")
-    parser.add_argument("--seed", type=int, default=0, help="of measurement noise (default: 0)")
+    parser.add_argument(
+        "--seed",
+        type=_number_to(_HIGHEST_SEED),
+        default=0,
+        help="of measurement noise (default: 0)",
+    )
     parser.add_argument("--session", default="run", help="what it runs for (default: run)")
     parser.add_argument(
         "--fault",
@@ -125,6 +147,17 @@ def _parser(
     )
     add_arguments(parser)
     return parser
+
+
+def _number_to(highest: int) -> Callable[[str], int]:
+    """Make a reader of whole numbers from 0 to the highest."""
+
+    def read(text: str) -> int:
+        if not text.isdecimal() or int(text) > highest:
+            raise argparse.ArgumentTypeError(f"'{text}' is no whole number from 0 to {highest}")
+        return int(text)
+
+    return read
 
 
 def _simulation(kind: str, faults: Mapping[str, str], arguments: argparse.Namespace) -> Simulation:
@@ -152,17 +185,10 @@ def _simulation_of_rig(
         raise ConfigError("a simulator needs this section", path=arguments.rig, key="world")
     state = None if arguments.world is None else RemoteState(*_address(arguments.world))
     world = World(setup, clock=WallClock(), state=state)
+    world.state.read()  # if nobody serves it that is told now, not at the first measurement
     for name, times in armed.items():
         world.state.arm(name, times=times)
-    options: Mapping[str, Any] = getattr(rig.config.devices, kind).options
-    context = DeviceContext(
-        name=kind,
-        options=options,
-        seed=arguments.seed,
-        world=setup,
-        base_dir=rig.path.parent,
-        session=arguments.session,
-    )
+    context = rig.device_context(kind, seed=arguments.seed, session=arguments.session, world=setup)
     return Simulation(arguments, world.state, world, context)
 
 
@@ -170,13 +196,13 @@ def _fault(text: str, known: Mapping[str, str]) -> tuple[str, int]:
     name, colon, times = text.partition(":")
     if name not in known:
         raise ConfigError(f"--fault {text}: no fault '{name}'; faults: {', '.join(known)}")
-    if colon and not times.isdecimal():
-        raise ConfigError(f"--fault {text}: '{times}' is no number of times")
+    if colon and not (times.isdecimal() and int(times) > 0):
+        raise ConfigError(f"--fault {text}: '{times}' is no number of times, such as 1")
     return name, int(times) if colon else FOR_EVER
 
 
 def _address(text: str) -> tuple[str, int]:
-    host, _, port = text.rpartition(":")
-    if not host or not port.isdecimal():
-        raise ConfigError(f"--world {text}: expected HOST:PORT, such as {LOOPBACK}:50000")
-    return host, int(port)
+    try:
+        return parse_address(text)
+    except ValueError as error:
+        raise ConfigError(f"--world {text}: {error}") from None

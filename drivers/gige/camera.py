@@ -309,7 +309,8 @@ class GigeCamera:
                 time_s = clock.host_time_s(received) if clock else time.time()
                 yield self._settings.frame(received, time_s=time_s + self._settings.exposure_s / 2)
         finally:
-            self._is_streaming = False
+            if connection is self._connection:  # else there may be a newer stream by now
+                self._is_streaming = False
             with suppress(*GENICAM_ERRORS):  # the next call says so if the camera is lost
                 connection.stop()
 

@@ -126,10 +126,10 @@ class Features:
         """
         node = self._get(quantity.name, call=call)
         wanted = value * quantity.per_unit
-        is_on_step = not isinstance(node, genapi.IInteger) or _is_on_step(node, wanted)
         # A hair of rounding may carry a limit across itself when it changes its unit.
         hair = 1e-9 * max(abs(node.min), abs(node.max))
-        if not (node.min - hair <= wanted <= node.max + hair and is_on_step):
+        is_in_range = node.min - hair <= wanted <= node.max + hair
+        if not is_in_range or (isinstance(node, genapi.IInteger) and not _is_on_step(node, wanted)):
             raise self._refusal(quantity, value, node, call=call)
 
     def set_number(self, quantity: Quantity, value: float, *, call: str) -> None:

@@ -163,19 +163,20 @@ class KvpClient:
 
     def _exchange(self, request: bytes, kind: int, what: str) -> Reply:
         give_up_s = time.monotonic() + self._timeout_s
+        self._unanswered.add(self._tag)
         try:
             self._open_connection.sendall(request)
             while True:
                 message = self._receive(give_up_s)
                 reply = self._decode(request, message, what)
+                is_late = reply.tag in self._unanswered and reply.tag != self._tag
+                self._unanswered.discard(reply.tag)
                 if reply.tag == self._tag and reply.kind == kind:
                     self._last_use_s = time.monotonic()
                     return reply
-                if reply.tag not in self._unanswered:
+                if not is_late:
                     raise self._protocol_error(f"{what}: answer to no question", request, message)
-                self._unanswered.discard(reply.tag)
         except TimeoutError as error:
-            self._unanswered.add(self._tag)
             raise DeviceTimeoutError(
                 f"{what}: no answer in {self._timeout_s:g} s", device=self._device
             ) from error

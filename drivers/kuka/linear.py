@@ -13,10 +13,13 @@ from drivers.kuka.kinematics import (
     inverse,
     singularities_near,
 )
+from drivers.kuka.position import AXIS_NAMES
 from tronlab.errors import LimitError
 from tronlab.geometry.poses import FloatArray
 
 _N_STEPS: Final = 50
+_LARGEST_STEP_RAD: Final = float(np.radians(45.0))
+"""An axis that turns farther between two steps has passed a singularity between them."""
 
 
 def follow_line(
@@ -51,8 +54,10 @@ def follow_line(
         found = inverse(pose, near_rad=axes).get(branch)
         problems = ["out of reach"] if found is None else []
         if found is not None:
-            axes = found + 2 * np.pi * np.round((axes - found) / (2 * np.pi))
-            problems = singularities_near(axes) + excesses(axes, limits_rad)
+            found = found + 2 * np.pi * np.round((axes - found) / (2 * np.pi))
+            problems = [*_jumps(axes, found), *singularities_near(found)]
+            problems += excesses(found, limits_rad)
+            axes = found
         if problems:
             raise LimitError(
                 f"{call}: a straight motion is not possible, at {progress:.0%} of it:"
@@ -60,3 +65,13 @@ def follow_line(
                 device=device,
             )
     return axes
+
+
+def _jumps(before_rad: FloatArray, after_rad: FloatArray) -> list[str]:
+    """Name the axes that turn too far between two steps."""
+    turns = np.abs(after_rad - before_rad)
+    return [
+        f"{name} would turn by {np.degrees(turn):.0f} deg at once"
+        for name, turn in zip(AXIS_NAMES, turns, strict=True)
+        if turn > _LARGEST_STEP_RAD
+    ]

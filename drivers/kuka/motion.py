@@ -60,15 +60,15 @@ class Mover:
     def execute(self, motion: Motion) -> None:
         """Move, and return when the robot stands still at the target.
 
-        Whatever goes wrong after the command was sent, the robot is told to hold first.
+        Whatever goes wrong once the command may have been sent, the robot is told to hold first.
 
         Raises:
             DeviceFaultError: Stopped by ``stop``, refused, or somewhere else than commanded.
             DeviceTimeoutError: Not accepted, not done or not still in the time allowed.
             DeviceError: As ``readiness.require_running``.
         """
-        command_id = self._send(motion)
         try:
+            command_id = self._send(motion)
             self._wait_until_accepted(motion, command_id)
             self._wait_until_done(motion, command_id)
             self._wait_until_still(motion)
@@ -147,7 +147,8 @@ class Mover:
                 )
             if time.monotonic() > give_up_s:
                 raise DeviceTimeoutError(
-                    f"{motion.call}: the controller does not accept the command",
+                    f"{motion.call}: the controller does not accept the command in"
+                    f" {self._options.timeout_s:g} s; it was told to hold; does its program run?",
                     device=self._device,
                 )
 

@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from tronlab.geometry.poses import FloatArray
 
 AXIS_NAMES = ("A1", "A2", "A3", "A4", "A5", "A6")
-_GIMBAL = 1e-9
+_GIMBAL = 1e-12
 """Cosine of B below which A and C cannot be told apart."""
 
 
@@ -51,15 +51,16 @@ class Axes:
 def abc_deg_from_rotation(rotation: Rotation) -> tuple[float, float, float]:
     """Give the angles A, B, C with R = Rz(A) Ry(B) Rx(C), degrees.
 
-    Where B is 90 or -90 deg only A - C or A + C is determined: C is 0 then.
+    Where B is 90 or -90 deg only A - C or A + C is determined: C is 0 then, but for rounding. B and
+    C are those of what is left when A is undone: nearby, where A is badly determined, they make up
+    for its error.
     """
     r: FloatArray = rotation.as_matrix()
-    cos_b = float(np.hypot(r[0, 0], r[1, 0]))
-    b = np.arctan2(-r[2, 0], cos_b)
-    if cos_b < _GIMBAL:
-        a, c = np.arctan2(-r[0, 1], r[1, 1]), 0.0
-    else:
-        a, c = np.arctan2(r[1, 0], r[0, 0]), np.arctan2(r[2, 1], r[2, 2])
+    is_locked = np.hypot(r[0, 0], r[1, 0]) < _GIMBAL
+    a = np.arctan2(-r[0, 1], r[1, 1]) if is_locked else np.arctan2(r[1, 0], r[0, 0])
+    cos_a, sin_a = np.cos(a), np.sin(a)
+    b = np.arctan2(-r[2, 0], cos_a * r[0, 0] + sin_a * r[1, 0])
+    c = np.arctan2(sin_a * r[0, 2] - cos_a * r[1, 2], cos_a * r[1, 1] - sin_a * r[0, 1])
     return float(np.degrees(a)), float(np.degrees(b)), float(np.degrees(c))
 
 

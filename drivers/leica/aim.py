@@ -1,6 +1,7 @@
 """Where the targets are, and how the beam gets there."""
 
 from contextlib import suppress
+from dataclasses import replace
 from typing import NoReturn
 
 import numpy as np
@@ -10,6 +11,7 @@ from drivers.leica.beam import Beam, Place
 from drivers.leica.codes import Mode, Ready
 from drivers.leica.controller import Controller
 from drivers.leica.options import ReflectorOption, TrackerOptions
+from drivers.leica.replies import Direction
 from tronlab.errors import (
     DeviceError,
     DeviceFaultError,
@@ -38,10 +40,16 @@ class Aim:
         self._p_tmac_trk: FloatArray | None = None
         """None until it was found once."""
         self._is_on_tmac = False
+        self._lost_towards: Direction | None = None
+        """Where the head pointed when it lost the T-MAC; None once it was found again."""
 
     def reset(self) -> None:
         """Forget what the beam was on: the head has moved, or the connection is a new one."""
         self._is_on_tmac = False
+
+    def _ensure_initialised(self) -> None:
+        if self._beam.ensure_initialised():
+            self.reset()
 
     # --- T-MAC ---
 
@@ -52,13 +60,14 @@ class Aim:
             TrackingLostError: The T-MAC is in none of the likely places.
             DeviceFaultError: What is there is no T-MAC; or the tracker's own.
         """
-        self._beam.ensure_initialised()
+        self._ensure_initialised()
         self._controller.set_mode(Mode.POSE)
         if not self._beam.sees(Ready.PROBE_FOUND):
             self._lock_on_tmac()
         if not self._is_on_tmac:
             self._controller.probe_info()
         self._is_on_tmac = True
+        self._lost_towards = None
         if self._p_tmac_trk is None:
             self._p_tmac_trk = np.array(self._options.tmac.p_trk_m)
 
@@ -79,6 +88,9 @@ class Aim:
         if self._beam.has_invalid_pose() and not self._beam.is_lost:
             # The beam is where it should be: moving it helps nobody.
             return self._beam.await_lock(self._here(), needed=Ready.PROBE_FOUND)
+        if self._is_on_tmac:
+            with suppress(DeviceFaultError):  # a controller that does not tell
+                self._lost_towards = self._controller.direction()
         failures: list[DeviceError] = []
         for place in self._tmac_places():
             try:
@@ -103,10 +115,12 @@ class Aim:
         if self._p_tmac_trk is None:
             return [home]
         last = Place(self._p_tmac_trk, tmac.search_radius_m)
-        if not self._is_on_tmac:
-            return [last, home]
         # The head stays where the beam broke: the robot may have moved since the last measurement.
-        return [self._here(), last, home]
+        if self._is_on_tmac:
+            return [self._here(), last, home]
+        if self._lost_towards is not None:
+            return [replace(last, direction=self._lost_towards), last, home]
+        return [last, home]
 
     def _here(self) -> Place:
         tmac = self._options.tmac
@@ -125,8 +139,9 @@ class Aim:
         beginning = f"{self._device}: {call}: "
         reasons = "; ".join(str(failure).removeprefix(beginning) for failure in failures)
         raise TrackingLostError(
-            f"{call}: no T-MAC: {reasons}; clear the beam and turn the T-MAC to the tracker, or"
-            " drive the robot home",
+            f"{call}: no T-MAC: {reasons}; clear the beam and turn the T-MAC to the tracker; if the"
+            " robot has moved meanwhile, drive it back to one of these places, or home (where"
+            " options.tmac.p_trk_m has it)",
             device=self._device,
         )
 
@@ -147,7 +162,7 @@ class Aim:
             TrackingLostError: It is not there.
             DeviceFaultError: The tracker keeps another kind of reflector; or its own.
         """
-        self._beam.ensure_initialised()
+        self._ensure_initialised()
         self._controller.set_mode(Mode.POINT)
         self._controller.select_reflector(self._reflector(target).type)
         self.find_reflector(target)

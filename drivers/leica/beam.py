@@ -14,7 +14,7 @@ from drivers.leica.codes import Command, Event, Mode, Ready, TrackerStatus
 from drivers.leica.controller import Controller
 from drivers.leica.options import TrackerOptions
 from drivers.leica.packets import Packet
-from drivers.leica.replies import BirdbathCheck
+from drivers.leica.replies import BirdbathCheck, Direction
 from tronlab.errors import NotReadyError, TrackingLostError
 from tronlab.geometry.poses import FloatArray
 
@@ -33,8 +33,17 @@ class Place:
     radius_m: float
     is_pointed_at: bool = False
     """The head points there already: search without moving it first."""
+    direction: Direction | None = None
+    """Where to point instead, if only that is known; ``p_trk_m`` is as far away then."""
+
+    @property
+    def distance_m(self) -> float:
+        """Get how far away it is."""
+        return float(np.linalg.norm(self.p_trk_m))
 
     def __str__(self) -> str:
+        if self.direction is not None:
+            return "where the beam was lost"
         if self.is_pointed_at:
             return "where the beam points"
         return f"within {self.radius_m:g} m of {np.round(self.p_trk_m, 3).tolist()} m"
@@ -59,7 +68,6 @@ class Beam:
         self._connection = controller.connection
         self._options = options
         self._device = device
-        self._is_initialised = False
         self._is_found = False
 
     @property
@@ -70,28 +78,25 @@ class Beam:
     def reset(self) -> None:
         """Forget what was known of the tracker before it was connected."""
         self.is_lost = self._is_found = False
-        self._is_initialised = False
 
     def initialise(self) -> None:
         """Initialise the tracker: the head moves, and the distance is set at the home reflector."""
-        self._is_initialised = False
         self._controller.forget_mode()
         self._connection.exchange(Command.INITIALIZE, timeout_s=self._options.initialize_timeout_s)
-        self._is_initialised = True
 
-    def ensure_initialised(self) -> None:
+    def ensure_initialised(self) -> bool:
         """Initialise a tracker that is not, if the options allow it.
+
+        Returns:
+            Whether it had to be: then the beam is elsewhere now.
 
         Raises:
             NotReadyError: It is not, and they do not.
         """
-        if self._is_initialised:
-            return
         status = self._controller.system_status()
         self._controller.check_state(status)
         if status.processor >= codes.INITIALISED:
-            self._is_initialised = True
-            return
+            return False
         if self._options.initialize == "never":
             raise NotReadyError(
                 f"{self._connection.call}: the tracker is not initialised; call initialize(), which"
@@ -100,6 +105,7 @@ class Beam:
                 code=statuses.NOT_INITIALISED,
             )
         self.initialise()
+        return True
 
     def sees(self, needed: Ready) -> bool:
         """Look whether the beam is locked and everything needed to measure is there."""
@@ -122,10 +128,10 @@ class Beam:
         search_ms = round(self._options.move_timeout_s * _SEARCH_SHARE * 1e3)
         self._connection.exchange(Command.SET_SEARCH_PARAMETERS, place.radius_m, search_ms)
         if not place.is_pointed_at:
-            self._move(Command.POINT_LASER, *place.p_trk_m)
+            self._point(place)
             self._wait_while_busy()
         self.is_lost = False
-        self._move(Command.FIND_REFLECTOR, float(np.linalg.norm(place.p_trk_m)))
+        self._search(place)
         self._is_found = True
         self.await_lock(place, needed=needed)
 
@@ -154,6 +160,23 @@ class Beam:
         """Measure the home reflector."""
         timeout_s = self._options.move_timeout_s
         return self._connection.ask(BirdbathCheck, Command.CHECK_BIRDBATH, timeout_s=timeout_s)
+
+    def _point(self, place: Place) -> None:
+        if place.direction is None:
+            self._move(Command.POINT_LASER, *place.p_trk_m)
+        else:
+            angles_rad = place.direction.hz_rad, place.direction.vt_rad
+            self._move(Command.POINT_LASER_HVD, *angles_rad, place.distance_m)
+
+    def _search(self, place: Place) -> None:
+        call = self._connection.call
+        try:
+            self._move(Command.FIND_REFLECTOR, place.distance_m)
+        except TrackingLostError as error:
+            reason = str(error).removeprefix(f"{self._device}: {call}: ")
+            raise TrackingLostError(
+                f"{call}: nothing found {place}: {reason}", device=self._device
+            ) from error
 
     def _move(self, command: Command, *values: float) -> None:
         self._connection.exchange(command, *values, timeout_s=self._options.move_timeout_s)
@@ -217,13 +240,9 @@ class Beam:
 
     @contextmanager
     def _noting_losses(self) -> Generator[None]:
-        """Remember what an error says about the tracker, so that the next call sets it right."""
+        """Remember that the beam was lost, so that the next call searches."""
         try:
             yield
         except TrackingLostError:
             self.is_lost = True
-            raise
-        except NotReadyError as error:
-            if error.code == statuses.NOT_INITIALISED:
-                self._is_initialised = False
             raise

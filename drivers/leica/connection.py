@@ -9,8 +9,8 @@ import socket
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Collection
-from contextlib import suppress
+from collections.abc import Callable, Collection, Generator
+from contextlib import contextmanager, suppress
 from typing import Final, NoReturn, TypeVar
 
 from drivers.leica import status as statuses
@@ -91,6 +91,7 @@ class Connection:
         self._buffer = PacketBuffer()
         self._was_answered = False
         self._forget()
+        self.resume()
 
     def close(self) -> None:
         """Disconnect; nothing happens if there is no connection."""
@@ -105,8 +106,9 @@ class Connection:
         Raises:
             DeviceError: No reply, or one whose status is not good; by ``status.error_of``.
         """
-        deadline_s = self._send(command, values, timeout_s)
-        return self._reply(command, deadline_s)
+        with self._until_answered():
+            deadline_s = self._send(command, values, timeout_s)
+            return self._reply(command, deadline_s)
 
     def ask(self, layout: type[T], command: Command, *, timeout_s: float | None = None) -> T:
         """Send a question and read its answer."""
@@ -117,14 +119,19 @@ class Connection:
 
         An empty list is one reply that says so.
         """
-        deadline_s = self._send(command, (), None)
-        first = self._reply(command, deadline_s)
-        n_all = int.from_bytes(first.body[:4], "little", signed=True)
-        if n_all <= 0:
-            return ()
-        entries = [self.read(layout, first)]
-        while len(entries) < n_all:
-            entries.append(self.read(layout, self._reply(command, deadline_s)))
+        with self._until_answered():
+            deadline_s = self._send(command, (), None)
+            first = self._reply(command, deadline_s)
+            n_all = int.from_bytes(first.body[:4], "little", signed=True)
+            if n_all <= 0:
+                return ()
+            entries = [self.read(layout, first)]
+            try:
+                while len(entries) < n_all:
+                    entries.append(self.read(layout, self._reply(command, deadline_s)))
+            except DeviceError:
+                self.close()  # what is left of the list would come while the next command waits
+                raise
         return tuple(entries)
 
     def check_open(self) -> None:
@@ -151,14 +158,19 @@ class Connection:
             self._take(packet)
 
     def begin_measurement(self) -> None:
-        """Forget results and errors of earlier measurements, and that one should stop."""
+        """Forget results and errors of earlier measurements.
+
+        Raises:
+            DeviceError: ``interrupt`` came first.
+        """
         self.drain()
         self._forget()
+        if self._interrupted.is_set():
+            raise self._stopped()
 
     def _forget(self) -> None:
         self._results.clear()
         self._error = None
-        self._interrupted.clear()
 
     def result(self, *, timeout_s: float, fatal_events: Collection[Event] = ()) -> Packet:
         """Wait for the next result of the measurement that runs.
@@ -170,11 +182,11 @@ class Connection:
         deadline_s = time.monotonic() + timeout_s
         while True:
             if self._error is not None:
-                raise statuses.error_of(self._error, self.call, device=self._device)
+                self._abandon(statuses.error_of(self._error, self.call, device=self._device))
             if self._results:
                 return self._good(self._results.popleft())
             if self._interrupted.is_set():
-                self._abandon(DeviceError(f"{self.call}: stopped by stop()", device=self._device))
+                self._abandon(self._stopped())
             packet = self._receive(min(deadline_s, time.monotonic() + _SLICE_S))
             if packet is None:
                 if time.monotonic() >= deadline_s:
@@ -212,8 +224,23 @@ class Connection:
         )
 
     def interrupt(self) -> None:
-        """End the measurement that another thread waits for."""
+        """End the measurement that another thread waits for; none begins until ``resume``."""
         self._interrupted.set()
+
+    def resume(self) -> None:
+        """Let measurements begin again."""
+        self._interrupted.clear()
+
+    @contextmanager
+    def _until_answered(self) -> Generator[None]:
+        """Close the connection if the wait for an answer ends without one: it would come later."""
+        try:
+            yield
+        except DeviceError:
+            raise  # answered, or closed already
+        except BaseException:
+            self.close()
+            raise
 
     def _send(self, command: Command, values: tuple[float, ...], timeout_s: float | None) -> float:
         self.drain()
@@ -286,9 +313,6 @@ class Connection:
                 return None
             except OSError as error:
                 self._lose(error.strerror or str(error))
-            except KeyboardInterrupt:
-                self.close()  # what is waited for would come while the next command waits
-                raise
             if not data:
                 self._lose("the tracker closed the connection")
             self._buffer.feed(data)
@@ -299,6 +323,9 @@ class Connection:
                 f"{self.call}: not connected; call connect() first", device=self._device
             )
         return self._socket
+
+    def _stopped(self) -> DeviceError:
+        return DeviceError(f"{self.call}: stopped by stop() or close()", device=self._device)
 
     def _abandon(self, error: DeviceError) -> NoReturn:
         """Stop the measurement, so that nothing of it comes later, and raise."""

@@ -9,6 +9,7 @@ from drivers.leica.connection import Connection
 from drivers.leica.options import TrackerOptions
 from drivers.leica.readings import air_reading, environment_of
 from drivers.leica.replies import (
+    Direction,
     Environment,
     MeasurementStatus,
     MeteoStation,
@@ -132,6 +133,10 @@ class Controller:
     def face(self) -> int:
         """Ask in which face the tracker is: 1 or 2; 0 if it does not know."""
         return self._number(Command.GET_FACE)
+
+    def direction(self) -> Direction:
+        """Ask where the head points."""
+        return self.connection.ask(Direction, Command.GET_DIRECTION)
 
     def air(self) -> AirReading:
         """Ask for the air."""

@@ -24,6 +24,7 @@ from tronlab.errors import (
     DeviceError,
     DeviceFaultError,
     LimitError,
+    TrackingLostError,
 )
 
 MAKER: Final = "Leica"
@@ -145,9 +146,14 @@ class LeicaTracker:
             self._beam.initialise()
 
     def stop(self) -> None:
-        """Stop whatever is being measured, also by another thread; the head stays."""
+        """Stop whatever is being measured, also by another thread.
+
+        The head stays; only a two-face check still turns it back to the first face.
+        """
         self._connection.interrupt()
         with self._calling("stop", is_allowed_in_stream=True):
+            if not self._is_streaming:  # the iterator of a stream has yet to see it
+                self._connection.resume()
             self._beam.stop()
 
     def notices(self) -> tuple[Notice, ...]:
@@ -206,9 +212,9 @@ class LeicaTracker:
         with self._calling("measure_point"):
             self._aim.check_known(target)
             check_window(window_s, self._connection.call, device=self._name)
-            self._aim.at_reflector(target)
-            reading = self._measure_reflector(target, window_s)
-            self._aim.give_back()
+            with self._away_from_tmac():
+                self._aim.at_reflector(target)
+                reading = self._measure_reflector(target, window_s)
         return reading
 
     def two_face_check(self, target: str, *, window_s: float = 2.0) -> TwoFaceCheck:
@@ -220,16 +226,16 @@ class LeicaTracker:
         with self._calling("two_face_check"):
             self._aim.check_known(target)
             check_window(window_s, self._connection.call, device=self._name)
-            self._aim.at_reflector(target)
-            readings = [self._measure_face(target, window_s)]
-            self._beam.change_face()
-            try:
-                self._aim.find_reflector(target)
-                readings.append(self._measure_face(target, window_s))
-            finally:
-                if self._connection.is_open:
-                    self._beam.change_face()
-            self._aim.give_back()
+            with self._away_from_tmac():
+                self._aim.at_reflector(target)
+                readings = [self._measure_face(target, window_s)]
+                self._beam.change_face()
+                try:
+                    self._aim.find_reflector(target)
+                    readings.append(self._measure_face(target, window_s))
+                finally:
+                    if self._connection.is_open:
+                        self._beam.change_face()
         by_face = dict(readings)
         if by_face.keys() != {1, 2}:
             raise DeviceFaultError(
@@ -244,9 +250,9 @@ class LeicaTracker:
         with self._calling("drift_check"):
             self._beam.ensure_initialised()
             self._aim.reset()
-            self._controller.set_mode(Mode.POINT)
-            drift = BirdbathDrift.of(self._beam.check_birdbath())
-            self._aim.give_back()
+            with self._away_from_tmac():
+                self._controller.set_mode(Mode.POINT)
+                drift = BirdbathDrift.of(self._beam.check_birdbath())
         return drift
 
     # --- T-MAC ---
@@ -265,12 +271,12 @@ class LeicaTracker:
         )
 
     def follow_target(self) -> None:
-        """Point at the T-MAC, where it was last or at home, and let the beam follow it.
+        """Point at the T-MAC, where it was lost, where it was last or at home, and follow it.
 
         Measurements of the T-MAC do so by themselves, also after a broken beam.
 
         Raises:
-            TrackingLostError: It is in neither place.
+            TrackingLostError: It is in none of these places.
         """
         with self._calling("follow_target"):
             self._aim.at_tmac()
@@ -330,12 +336,26 @@ class LeicaTracker:
         """Stop the stream; one that ended by itself or with its connection needs no stop."""
         with self._lock:
             self._connection.call = "stream_poses"
-            if self._is_streaming and self._connection.is_open:
+            self._connection.resume()
+            is_running, self._is_streaming = self._is_streaming, False
+            if is_running and self._connection.is_open:
                 with suppress(DeviceFaultError):
                     self._beam.stop()
-            self._is_streaming = False
 
     # --- Calls ---
+
+    @contextmanager
+    def _away_from_tmac(self) -> Generator[None]:
+        """Give the beam back to the T-MAC afterwards, also when it did not find what it left for.
+
+        The robot may move next: a T-MAC that the beam does not follow would be lost by then.
+        """
+        try:
+            yield
+        except (TrackingLostError, LimitError):
+            self._aim.give_back()
+            raise
+        self._aim.give_back()
 
     def _measure_face(self, target: str, window_s: float) -> tuple[int, PointReading]:
         face = self._controller.face()

@@ -10,6 +10,8 @@ LONGEST_WINDOW_S: Final = 100.0
 SHORTEST_INTERVAL_S: Final = 0.001
 LONGEST_INTERVAL_S: Final = 100.0
 """Times between the poses of a stream; how fast a tracker really is, it says itself."""
+MOST_POSES: Final = 2**31 - 1
+"""Of a stream: the largest number its command can carry."""
 
 
 def check_window(window_s: float, call: str, *, device: str) -> None:
@@ -39,5 +41,7 @@ def check_stream(interval_s: float, n: int, call: str, *, device: str) -> None:
             f" {LONGEST_INTERVAL_S:g} s in whole milliseconds",
             device=device,
         )
-    if n < 0:
-        raise LimitError(f"{call}: {n} poses, allowed are 0 (no end) and more", device=device)
+    if not 0 <= n <= MOST_POSES:
+        raise LimitError(
+            f"{call}: {n} poses, allowed are 0 (no end) to {MOST_POSES}", device=device
+        )

@@ -27,6 +27,7 @@ _BODIES: Final[dict[Command, str]] = {
     Command.SET_SEARCH_PARAMETERS: "di",
     Command.SET_SYSTEM_SETTINGS: "9I",
     Command.POINT_LASER: "3d",
+    Command.POINT_LASER_HVD: "3d",
     Command.FIND_REFLECTOR: "d",
     Command.SET_STATISTIC_MODE: "2I",
     Command.SET_LONG_PARAMETER: "Ii",

@@ -13,6 +13,14 @@ class Number:
 
 
 @dataclass(frozen=True, slots=True)
+class Direction:
+    """Where the head points, by its own angles."""
+
+    hz_rad: F64
+    vt_rad: F64
+
+
+@dataclass(frozen=True, slots=True)
 class SystemStatus:
     """State of the controller and what is connected to it."""
 

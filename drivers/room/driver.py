@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Generator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Protocol
@@ -66,16 +66,10 @@ class RoomDriver:
             DeviceError: A part answers, but not as it should.
         """
         self.close()
-        failures: list[DeviceError] = []
-        for part in self._parts().values():
-            try:
-                with self._naming("connect"):
-                    part.connect()
-            except DeviceError as error:
-                failures.append(error)
-        if failures:
-            self.close()
-            raise self._joined(failures)
+        with ExitStack() as undo:
+            undo.callback(self.close)
+            self._connect_parts()
+            undo.pop_all()
         self._is_connected = True
 
     def close(self) -> None:
@@ -142,7 +136,7 @@ class RoomDriver:
         """Read the safety inputs, and which parts the room has; nothing is switched."""
         inputs = asdict(self.safety())
         words = {
-            name.removeprefix("is_").replace("_", " "): "yes" if value else "NO"
+            name.removeprefix("is_").replace("_", " "): "yes" if value else "no"
             for name, value in inputs.items()
         }
         parts = {"dimmer": self._dimmer, "supply": self._supply, "air sensor": self._air}
@@ -158,6 +152,17 @@ class RoomDriver:
         """Switch the warning light at the door."""
         with self._call("set_warning_light"):
             self._plc.set_warning_light(on=on)
+
+    def _connect_parts(self) -> None:
+        failures: list[DeviceError] = []
+        for part in self._parts().values():
+            try:
+                with self._naming("connect"):
+                    part.connect()
+            except DeviceError as error:
+                failures.append(error)
+        if failures:
+            raise self._joined(failures)
 
     def _parts(self) -> dict[str, _Part]:
         parts: dict[str, _Part | None] = {

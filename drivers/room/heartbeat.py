@@ -27,7 +27,7 @@ class Heartbeat:
         self._own_count = last_count
         self._other_count: int | None = None
         self._changed_s = time.monotonic()
-        self._stands_since_s = 0.0
+        self._stood_s = 0.0
 
     @property
     def still_s(self) -> float:
@@ -36,7 +36,7 @@ class Heartbeat:
         Judged when seen, not when asked: a computer that was itself too busy to look has seen
         nothing wrong.
         """
-        return self._stands_since_s
+        return self._stood_s
 
     def start(self) -> None:
         """Beat once, then go on in the background.
@@ -58,16 +58,16 @@ class Heartbeat:
             try:
                 self._once()
             except DeviceFaultError:
-                self._judge()
+                self._judge(time.monotonic())
             except DeviceError:
                 return  # the connection is down, and says why at the next call
 
     def _once(self) -> None:
         self._own_count = (self._own_count + 1) % _WRAP
-        count = self._beat(self._own_count)
+        count, now_s = self._beat(self._own_count), time.monotonic()
         if count != self._other_count:
-            self._other_count, self._changed_s = count, time.monotonic()
-        self._judge()
+            self._other_count, self._changed_s = count, now_s
+        self._judge(now_s)
 
-    def _judge(self) -> None:
-        self._stands_since_s = time.monotonic() - self._changed_s
+    def _judge(self, now_s: float) -> None:
+        self._stood_s = now_s - self._changed_s

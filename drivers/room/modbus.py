@@ -230,7 +230,10 @@ class ModbusLink:
 
     def _whole(self, values: Sequence[T], count: int, *, rounded_to: int = 1) -> list[T]:
         if len(values) != -(-count // rounded_to) * rounded_to:
-            raise self._nonsense(f"asked for {count} values, got {len(values)}")
+            what = f"asked for {count} values, got {len(values)}"
+            with self._lock:
+                self._fail(NotConnectedError, f"the PLC at {self._at}: {what}")
+            raise self._nonsense(what)
         return list(values[:count])
 
     def _nonsense(self, what: str) -> ProtocolError:

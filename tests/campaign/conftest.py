@@ -4,16 +4,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
+from perfect_record import save_perfect_record
 from ruamel.yaml import YAML
-
-from tronlab.calib.record import IDENTIFIED_DEVICES, CalibrationRecord
-from tronlab.campaign.provenance import device_identities
-from tronlab.campaign.rig import load_rig
-from tronlab.devices.registry import connected
-from tronlab.terrain.heightmap import HeightMap
-from tronlab.twin.truth import build_laboratory
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -69,31 +62,7 @@ def make_record(tmp_path: Path) -> Callable[[Path], Path]:
     """``make_record(rig_path)`` writes a perfect calibration record: the world's own truth."""
 
     def make(rig_path: Path) -> Path:
-        rig = load_rig(rig_path)
-        assert rig.config.world is not None
-        laboratory = build_laboratory(rig.config.laboratory, rig.config.world)
-        flat = HeightMap(np.zeros((3, 3), np.float32), 1.0, np.zeros(3))
-        devices = rig.open_devices(0, load_heightmap=lambda: flat)
-        with connected(devices):
-            identities = device_identities(devices)
-        path = tmp_path / "record.json"
-        CalibrationRecord(
-            rig_name=rig.name,
-            created_utc="2026-01-01T00:00:00Z",
-            software={"tronlab": "test"},
-            devices={name: identities[name] for name in IDENTIFIED_DEVICES},
-            camera=laboratory.camera,
-            camera_covariance=1e-6 * np.eye(9),
-            trs_from_trk=laboratory.trk_from_trs.inv(),
-            trs_from_trk_covariance=1e-12 * np.eye(6),
-            tmac_from_cam=laboratory.flange_from_tmac.inv() * laboratory.flange_from_cam,
-            tmac_from_cam_covariance=1e-12 * np.eye(6),
-            p_lamp_trs_m=laboratory.p_light_trs_m,
-            p_lamp_trs_covariance_m2=1e-6 * np.eye(3),
-            statistics={},
-            inputs={},
-        ).save(path)
-        return path
+        return save_perfect_record(tmp_path / "record.json", rig_path=rig_path)
 
     return make
 

@@ -209,6 +209,17 @@ def test_use_before_connect_names_device_and_call(driver: str, make):
         make(driver, name="here").identify()
 
 
+@pytest.mark.parametrize("driver", DRIVERS)
+def test_use_after_close_names_device_and_call(driver: str, make):
+    if "before connect" in EXCEPTED.get(driver, {}):
+        pytest.skip(EXCEPTED[driver]["before connect"])
+    device = make(driver, name="here")
+    device.connect()
+    device.close()
+    with pytest.raises(NotConnectedError, match=r"^here: identify: "):
+        device.identify()
+
+
 @pytest.mark.parametrize("driver", of_kind("robot"))
 def test_robot_stands_where_it_was_told(driver: str, make, target):
     robot = make(driver)

@@ -76,6 +76,7 @@ def test_the_campaign_runs_unchanged_and_gives_the_same(
     with Dataset(path) as dataset, Dataset(in_process) as other:
         assert dataset.status == other.status == "complete"
         assert list(dataset.shot_ids) == list(other.shot_ids) == [1, 2, 3, 4]
+        assert len(states) == dataset.n_shots
         for i, state in enumerate(states):
             shot, twin_shot = dataset.shot(i), other.shot(i)
             nominal = shot.trs_from_cam_nominal.as_matrix()
@@ -162,7 +163,7 @@ def test_a_fault_that_passes_costs_time_but_no_shot(
         assert dataset.shot(1).attempt > 1
 
 
-@pytest.mark.parametrize("kind", ["tracker", "camera", "robot", "room"])
+@pytest.mark.parametrize("kind", ["camera", "robot"])
 def test_a_device_that_dies_ends_the_campaign_and_the_dataset_is_readable(
     start_wire: Start, campaign_path: Path, tmp_path: Path, kind: str
 ):

@@ -19,7 +19,7 @@ from bluesky import RunEngine
 from bluesky.utils import DuringTask, FailedStatus, Msg
 
 from tronlab.campaign.plan import Plan, Shot
-from tronlab.campaign.policy import MAX_ATTEMPTS, PAUSES_S, Remedy, remedy_for
+from tronlab.campaign.policy import MAX_ATTEMPTS, PAUSES_S, Remedy, Setbacks, remedy_for
 from tronlab.campaign.shot import ShotTaker
 from tronlab.campaign.stop import RunStoppedError, StopRequest
 from tronlab.dataset.records import ShotRecord
@@ -288,7 +288,7 @@ def _campaign(plan: Plan, run: _Run) -> Messages:
     crew = _Crew(
         run=run,
         mover=_Mover(run),
-        guard=_Measurement("room", run, lambda: _no_numbers(taker.check_room)),
+        guard=_deed("room", run, taker.check_room),
         steps=(
             _Measurement("settle", run, taker.settle),
             _Measurement("tracker", run, taker.measure),
@@ -319,9 +319,14 @@ class _Crew:
     """After the move, in this order."""
 
 
-def _no_numbers(step: Callable[[], None]) -> Numbers:
-    step()
-    return {}
+def _deed(name: str, run: _Run, action: Callable[[], None]) -> _Measurement:
+    """Make a step that leaves no numbers."""
+
+    def step() -> Numbers:
+        action()
+        return {}
+
+    return _Measurement(name, run, step)
 
 
 def _put_into_mailbox(run: _Run) -> Numbers:
@@ -337,61 +342,74 @@ def _put_into_mailbox(run: _Run) -> Numbers:
 
 def _shot_until_taken(shot: Shot, crew: _Crew) -> Messages:
     """Take a shot, and do about its errors what the policy says."""
-    taker, listener = crew.run.taker, crew.run.listener
-    failures, suspensions = 0, 0
-    unsafe_since_s: float | None = None
-    lost: str | None = None
+    setbacks = Setbacks()
     while True:
         if crew.run.stop.is_asked:
             raise RunStoppedError
-        attempt = 1 + failures + suspensions
-        taker.begin(shot, attempt)
+        crew.run.taker.begin(shot, setbacks.attempt)
         try:
-            if lost is not None:
-                yield from _reconnect(lost, crew)
-                lost = None
-            yield from _shot(shot, attempt, crew)
+            if setbacks.lost is not None:
+                yield from _reconnect(setbacks.lost, crew)
+                setbacks.lost = None
+            yield from _shot(shot, setbacks.attempt, crew)
         except FailedStatus as failure:
-            error, remedy = failure.__cause__, remedy_for(failure.__cause__)
-            if not isinstance(error, DeviceError) or remedy is Remedy.STOP:
+            pause_s = _pause_after(failure.__cause__, shot, setbacks, crew.run)
+            if pause_s is None:
                 raise
-            if remedy is Remedy.WAIT:
-                if unsafe_since_s is None:
-                    unsafe_since_s = taker.monotonic_s()
-                    suspensions += 1
-                    listener.on_wait(shot, error)
-                elif taker.monotonic_s() - unsafe_since_s > taker.config.room.timeout_s:
-                    raise
-                yield from _nap(_SAFETY_LOOK_S, crew)
-                continue
-            failures += 1
-            if failures == MAX_ATTEMPTS:
-                raise
-            listener.on_retry(shot, attempt, error)
-            if remedy is Remedy.RECONNECT:
-                lost = error.device
-            yield from _nap(PAUSES_S[failures - 1], crew)
+            yield from _nap(pause_s, crew)
         else:
-            if unsafe_since_s is not None:
-                listener.on_resume(shot)
+            if setbacks.suspensions:
+                crew.run.listener.on_resume(shot)
             return
 
 
+def _pause_after(
+    error: BaseException | None, shot: Shot, setbacks: Setbacks, run: _Run
+) -> float | None:
+    """Note a setback, and say how long to pause before the next attempt; None: there is none."""
+    remedy = remedy_for(error)
+    if not isinstance(error, DeviceError) or remedy is Remedy.STOP:
+        return None
+    if run.taker.is_in_place:  # the robot moved, so the cell was safe since it last was not
+        setbacks.unsafe_since_s = None
+    if remedy is Remedy.WAIT:
+        return _pause_until_safe(error, shot, setbacks, run)
+    return _pause_after_failure(error, shot, setbacks, run)
+
+
+def _pause_until_safe(
+    error: DeviceError, shot: Shot, setbacks: Setbacks, run: _Run
+) -> float | None:
+    now_s = run.taker.monotonic_s()
+    if setbacks.unsafe_since_s is None:
+        setbacks.unsafe_since_s = now_s
+        setbacks.suspensions += 1
+        run.listener.on_wait(shot, error)
+    elif now_s - setbacks.unsafe_since_s > run.taker.config.room.timeout_s:
+        return None
+    return _SAFETY_LOOK_S
+
+
+def _pause_after_failure(
+    error: DeviceError, shot: Shot, setbacks: Setbacks, run: _Run
+) -> float | None:
+    attempt = setbacks.attempt
+    setbacks.failures += 1
+    if setbacks.failures == MAX_ATTEMPTS:
+        return None
+    run.listener.on_retry(shot, attempt, error)
+    if remedy_for(error) is Remedy.RECONNECT:
+        setbacks.lost = error.device
+    return PAUSES_S[setbacks.failures - 1]
+
+
 def _reconnect(device: str, crew: _Crew) -> Messages:
-    yield from _trigger(
-        _Measurement(
-            f"connect {device}",
-            crew.run,
-            lambda: _no_numbers(lambda: crew.run.taker.reconnect(device)),
-        )
-    )
+    taker = crew.run.taker
+    yield from _trigger(_deed(f"connect {device}", crew.run, lambda: taker.reconnect(device)))
 
 
 def _nap(duration_s: float, crew: _Crew) -> Messages:
-    taker = crew.run.taker
-    yield from _trigger(
-        _Measurement("wait", crew.run, lambda: _no_numbers(lambda: taker.sleep(duration_s)))
-    )
+    yield from _trigger(_deed("wait", crew.run, lambda: crew.run.taker.sleep(duration_s)))
 
 
 def _shot(shot: Shot, attempt: int, crew: _Crew) -> Messages:

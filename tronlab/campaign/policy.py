@@ -1,5 +1,6 @@
 """What a campaign does about an error of a device: try again, connect again, wait, or stop."""
 
+from dataclasses import dataclass
 from enum import Enum
 
 from tronlab.errors import (
@@ -35,6 +36,23 @@ class Remedy(Enum):
     """Wait until a person has made the cell safe."""
     STOP = "stop"
     """The shot is not taken again: the run ends."""
+
+
+@dataclass
+class Setbacks:
+    """What has gone wrong with one shot so far."""
+
+    failures: int = 0
+    suspensions: int = 0
+    unsafe_since_s: float | None = None
+    """When the cell was found unsafe; None if it was safe at the last move."""
+    lost: str | None = None
+    """Device to connect again before the next attempt."""
+
+    @property
+    def attempt(self) -> int:
+        """Get the number of the attempt in hand, from 1: each setback begins another."""
+        return 1 + self.failures + self.suspensions
 
 
 def remedy_for(error: BaseException | None) -> Remedy:

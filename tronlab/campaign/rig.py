@@ -103,9 +103,8 @@ class Rig:
         """
         from tronlab.terrain.load import load_terrain
 
-        if self.extended is not None and self.config.terrain is self.extended.config.terrain:
-            return self.extended.load_heightmap(announce)
-        return load_terrain(self.config.terrain, base_dir=self.path.parent, announce=announce)
+        base_dir = self._home_of("terrain").path.parent
+        return load_terrain(self.config.terrain, base_dir=base_dir, announce=announce)
 
     def open_devices(
         self,
@@ -130,14 +129,8 @@ class Rig:
         errors: list[ConfigError] = []
         for kind in KINDS:
             config: DeviceConfig = getattr(self.config.devices, kind)
-            context = DeviceContext(
-                name=kind,
-                options=config.options,
-                seed=seed,
-                world=world,
-                base_dir=self.path.parent,
-                session=session,
-                shared=shared,
+            context = self.device_context(
+                kind, seed=seed, session=session, world=world, shared=shared
             )
             try:
                 devices[kind] = make_device(config.driver, kind, context)
@@ -146,6 +139,27 @@ class Rig:
         if errors:
             raise join_errors(errors)
         return Devices(**devices)  # pyright: ignore[reportArgumentType]  # make_device checked them
+
+    def device_context(
+        self,
+        kind: str,
+        *,
+        seed: int,
+        session: str,
+        world: "WorldSetup | None",
+        shared: dict[str, object] | None = None,
+    ) -> DeviceContext:
+        """Give what the driver of a kind of device may know, and its simulator on the wire."""
+        config: DeviceConfig = getattr(self.config.devices, kind)
+        return DeviceContext(
+            name=kind,
+            options=config.options,
+            seed=seed,
+            world=world,
+            base_dir=self._home_of("devices").path.parent,
+            session=session,
+            shared={} if shared is None else shared,
+        )
 
     def world_setup(
         self, load_heightmap: Callable[[], HeightMap] | None = None
@@ -171,9 +185,17 @@ class Rig:
             return error
         key = error.key or f"devices.{kind}"
         message = str(error).removeprefix(f"{error.key}: ")
+        home = self._home_of("devices")
         return ConfigError(
-            message, path=self.path, line=line_of(self.text, tuple(key.split("."))), key=key
+            message, path=home.path, line=line_of(home.text, tuple(key.split("."))), key=key
         )
+
+    def _home_of(self, section: str) -> "Rig":
+        """Give the rig file that a section stands in: this one, or one that it extends."""
+        extended = self.extended
+        if extended and getattr(self.config, section) is getattr(extended.config, section):
+            return extended._home_of(section)  # noqa: SLF001  # a rig like this one
+        return self
 
 
 def load_rig(path: Path) -> Rig:

@@ -49,6 +49,8 @@ class _Readings:
 
     shot: Shot
     attempt: int
+    is_in_place: bool = False
+    """The robot has reached its target."""
     tracker: PoseReading | None = None
     frame: Frame | None = None
     robot: RobotReading | None = None
@@ -75,6 +77,11 @@ class ShotTaker:
         now = self._now
         return f"shot {now.shot.shot_id}, attempt {now.attempt}" if now else "no shot yet"
 
+    @property
+    def is_in_place(self) -> bool:
+        """Get whether the robot has reached the target of the shot in hand."""
+        return self._now is not None and self._now.is_in_place
+
     def begin(self, shot: Shot, attempt: int) -> None:
         """Forget the last shot: nothing of it can be paired with this one."""
         self._now = _Readings(shot=shot, attempt=attempt)
@@ -88,8 +95,13 @@ class ShotTaker:
         self._refuse_open_door(self.devices.room.read())
 
     def reconnect(self, device_name: str) -> None:
-        """Close a device and connect it again, and make it what it was for this campaign."""
-        device = next(device for device in self.devices.all() if device.name == device_name)
+        """Close a device and connect it again, and make it what it was for this campaign.
+
+        The shared state of simulated devices has a name of its own; it finds its server by itself.
+        """
+        device = next((one for one in self.devices.all() if one.name == device_name), None)
+        if device is None:
+            return
         device.close()
         device.connect()
         if device is self.devices.camera:
@@ -104,8 +116,9 @@ class ShotTaker:
 
     def move(self) -> None:
         """Drive the robot to the target; it stands still when this returns."""
-        target = self._begun().shot.robot_target
-        self.devices.robot.move(target, timeout_s=self.config.robot.timeout_s)
+        now = self._begun()
+        self.devices.robot.move(now.shot.robot_target, timeout_s=self.config.robot.timeout_s)
+        now.is_in_place = True
 
     def settle(self) -> dict[str, float]:
         """Look at the T-MAC until two looks in a row agree.
@@ -196,17 +209,17 @@ class ShotTaker:
         """Warn, once, if tracker and room disagree about the air: one of them reads wrong."""
         if tracker.air is None or self._has_warned_of_air:
             return
-        warm_k = abs(tracker.air.temperature_k - room.air_temperature_k)
-        dense_pa = abs(tracker.air.pressure_pa - room.air_pressure_pa)
+        difference_k = abs(tracker.air.temperature_k - room.air_temperature_k)
+        difference_pa = abs(tracker.air.pressure_pa - room.air_pressure_pa)
         allowed = self.config.room
         if (
-            warm_k > allowed.max_temperature_difference_k
-            or dense_pa > allowed.max_pressure_difference_pa
+            difference_k > allowed.max_temperature_difference_k
+            or difference_pa > allowed.max_pressure_difference_pa
         ):
             self._has_warned_of_air = True
             self.warn(
-                f"{self.in_hand}: the tracker's air and the room's differ by {warm_k:.2f} K and"
-                f" {dense_pa:.0f} Pa; check both sensors: distances are corrected by them"
+                f"{self.in_hand}: the tracker's air and the room's differ by {difference_k:.2f} K"
+                f" and {difference_pa:.0f} Pa; check both sensors: distances are corrected by them"
             )
 
     def _begun(self) -> _Readings:

@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 
 from tronlab.campaign.rig import DeviceConfig, Rig
+from tronlab.devices.address import parse_address
 from tronlab.devices.registry import KINDS, known_simulators
 from tronlab.errors import ConfigError
 
@@ -57,11 +58,15 @@ def world_address(rig: Rig) -> tuple[str, int]:
     Raises:
         ConfigError: No device of the rig says so.
     """
-    for config in _devices(rig).values():
+    for kind, config in _devices(rig).items():
         world = config.options.get("world") if config.driver.startswith(TWIN_PREFIX) else None
-        host, _, port = str(world).rpartition(":")
-        if host and port.isdecimal():
-            return host, int(port)
+        if world is None:
+            continue
+        try:
+            return parse_address(str(world))
+        except ValueError as error:
+            key = f"devices.{kind}.options.world"
+            raise ConfigError(f"'{world}': {error}", path=rig.path, key=key) from None
     raise ConfigError(
         "HOST:PORT where `tronlab twin up` serves the laboratory is missing, such as"
         " 127.0.0.1:10600",

@@ -1,7 +1,7 @@
 """The commands ``tronlab twin``: the simulated laboratory on the wire."""
 
 from collections.abc import Generator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -42,11 +42,14 @@ def up(
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     loaded = load_rig(rig)
     modules = simulator_modules(loaded)
+    loaded.open_devices(seed)  # so that a mistake in an option is told with its line
     try:
         with (
             _serve_world(loaded) as address,
-            Fleet(
-                modules, rig_path=rig, world=address, seed=seed, session=session, announce=tell
+            closing(
+                Fleet(
+                    modules, rig_path=rig, world=address, seed=seed, session=session, announce=tell
+                )
             ) as fleet,
         ):
             typer.echo(f"{'world':20} {address[0]}:{address[1]}")
@@ -80,11 +83,15 @@ def fault(
     loaded = load_rig(rig)
     faults = simulator_faults(loaded)
     if name is None:
+        if clear or times is not None:
+            raise ConfigError("name the fault that --clear or --times is for")
         for known, what in faults.items():
             typer.echo(f"{known:28} {what}")
         return
     if name not in faults:
         raise ConfigError(f"no fault '{name}'; faults: {', '.join(faults)}")
+    if clear and times is not None:
+        raise ConfigError("--clear ends a fault: leave out --times")
     state = _running(loaded)
     try:
         state.arm(name, times=0 if clear else times or FOR_EVER)

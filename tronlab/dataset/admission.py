@@ -81,13 +81,18 @@ def _values(path: Path, shot: ShotRecord) -> Iterator[tuple[str, NDArray[Any]]]:
             raise DatasetError(f"{where}: {given!r}: {error}") from error
         if value.shape != column.shape:
             raise DatasetError(f"{where}: shape is {value.shape}, expected {column.shape}")
-        if not column.is_optional and value.dtype.kind == "f" and not np.isfinite(value).all():
+        if value.dtype.kind == "f" and not _is_known(value, is_optional=column.is_optional):
             raise DatasetError(f"{where}: is not finite: {value.tolist()}")
         if value.dtype.kind == "S" and value.item() != given:
             raise DatasetError(
                 f"{where}: {given!r} is longer than {schema.PIXEL_FORMAT_BYTES} bytes"
             )
         yield column.path, value
+
+
+def _is_known(value: NDArray[Any], *, is_optional: bool) -> bool:
+    """Tell whether all numbers are finite; NaN stands for an optional one that is not known."""
+    return bool(np.all(np.isfinite(value) | (is_optional & np.isnan(value))))
 
 
 def _check_array(

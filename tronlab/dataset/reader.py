@@ -118,6 +118,13 @@ class Dataset:
             if not column.is_optional or column.path in self._file
         )
 
+    def values_of_checksum(self) -> tuple[NDArray[Any], ...]:
+        """Read the columns that a shot's checksum takes, in its order; newer files have more."""
+        order = self._attributes(schema.VALUES_CRC32).get("order", ())
+        if not len(order):
+            raise IntegrityError(f"{self.path}: {schema.VALUES_CRC32} does not say its order")
+        return tuple(self.rows(str(path)) for path in order)
+
     def image(self, i: int) -> NDArray[np.uint8] | NDArray[np.uint16]:
         """Read the image of shot ``i``, shape (rows, columns), and verify its checksum."""
         return self._stacked(schema.IMAGE, schema.IMAGE_CRC32, i)

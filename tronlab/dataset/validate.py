@@ -83,8 +83,9 @@ def _columns(dataset: Dataset) -> Iterator[str]:
                 ~_is_covariance(rows),
                 "not a covariance (symmetric, positive semidefinite)",
             )
-        elif rows.dtype.kind == "f" and not column.is_optional:
-            yield from _at_shots(dataset, name, ~np.isfinite(rows), "not finite")
+        elif rows.dtype.kind == "f":
+            is_bad = np.isinf(rows) if column.is_optional else ~np.isfinite(rows)
+            yield from _at_shots(dataset, name, is_bad, "not finite")
 
 
 def _at_shots(dataset: Dataset, name: str, is_bad: NDArray[np.bool_], what: str) -> Iterator[str]:
@@ -153,7 +154,7 @@ def _calibration(text: str) -> dict[str, Any]:
 
 
 def _shots(dataset: Dataset) -> Iterator[str]:
-    values = [dataset.rows(column.path) for column in dataset.columns()]
+    values = dataset.values_of_checksum()
     checksums = dataset.rows(schema.VALUES_CRC32)
     fractions = dataset.rows(f"{schema.TRUTH}/usable_fraction")
     for i, shot_id in enumerate(dataset.shot_ids):

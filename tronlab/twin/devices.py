@@ -6,8 +6,9 @@ from typing import Annotated, TypeVar
 
 import numpy as np
 from numpy.random import Generator
-from pydantic import Field
+from pydantic import AfterValidator
 
+from tronlab.devices.address import parse_address
 from tronlab.devices.protocols import OperatorTask
 from tronlab.devices.readings import (
     DeviceIdentity,
@@ -333,10 +334,15 @@ def open_operator(context: DeviceContext) -> TwinOperator:
     return TwinOperator(context)
 
 
+def _address(text: str) -> str:
+    parse_address(text)
+    return text
+
+
 class TwinOptions(Model):
     """Options of a simulated device: how it behaves is set in section ``world``."""
 
-    world: Annotated[str, Field(pattern=r"^\S+:\d+$")] | None = None
+    world: Annotated[str, AfterValidator(_address)] | None = None
     """HOST:PORT of the laboratory that ``tronlab twin up`` serves; by default one of its own."""
 
 
@@ -352,8 +358,8 @@ def _common_world(context: DeviceContext) -> World:
     options = context.parse_options(TwinOptions)
     if options.world is None:
         return context.share(WORLD_KEY, lambda: World(setup))
-    host, _, port = options.world.rpartition(":")
+    host, port = parse_address(options.world)
     return context.share(
         f"{WORLD_KEY} at {options.world}",
-        lambda: World(setup, clock=WallClock(), state=RemoteState(host, int(port))),
+        lambda: World(setup, clock=WallClock(), state=RemoteState(host, port)),
     )

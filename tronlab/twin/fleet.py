@@ -10,8 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import IO, Self
+from typing import IO
 
 from tronlab.errors import DeviceError, DeviceTimeoutError, ProtocolError
 
@@ -123,7 +122,7 @@ class Simulator:
 
 
 class Fleet:
-    """The simulators of a rig; all of them run, or none."""
+    """The simulators of a rig, until closed; all of them run, or none."""
 
     def __init__(
         self,
@@ -166,17 +165,6 @@ class Fleet:
             for simulator in self.simulators:
                 self.addresses.extend(simulator.wait_until_ready(START_TIMEOUT_S))
             self._stack = self._stack.pop_all()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        self.close()
 
     def check_alive(self) -> None:
         """Return if all still run.

@@ -58,6 +58,14 @@ class _Server(socketserver.ThreadingTCPServer):
         self.connections: set[socket.socket] = set()
         super().__init__(address, _Handler)
 
+    def process_request(
+        self, request: socket.socket | tuple[bytes, socket.socket], client_address: Any
+    ) -> None:
+        # Before its thread starts: close() must find every connection whose thread it waits for.
+        if isinstance(request, socket.socket):
+            self.connections.add(request)
+        super().process_request(request, client_address)
+
     def hang_up(self) -> None:
         for connection in tuple(self.connections):
             with suppress(OSError):  # its client has just gone
@@ -68,7 +76,6 @@ class _Handler(socketserver.StreamRequestHandler):
     server: _Server  # pyright: ignore[reportIncompatibleVariableOverride]  # made by no other
 
     def handle(self) -> None:
-        self.server.connections.add(self.connection)
         try:
             for line in self.rfile:
                 self.wfile.write(_answer(line, self.server.answers))
@@ -136,7 +143,7 @@ class RemoteState:
                 f"nobody answers at {host}:{port} ({error}); start it: tronlab twin up RIG.yaml",
                 device=DEVICE,
             ) from error
-        if not line:
+        if not line.endswith(b"\n"):
             self._hang_up()
             raise NotConnectedError(f"{host}:{port} closed the connection", device=DEVICE)
         return line
@@ -176,7 +183,7 @@ def _answer(line: bytes, answers: _Answers) -> bytes:
     try:
         request = json.loads(line)
         answer = {"ok": answers[request["do"]](request)}
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         answer = {"error": repr(error)}
     return json.dumps(answer).encode() + b"\n"
 

@@ -294,8 +294,8 @@ void gvcp_request_resend(struct gvcp *channel, uint16_t block_id, uint32_t first
     (void)send(channel->socket, request, sizeof request, 0);
 }
 
-/* Whether the camera still answers and we still control it. A busy camera may be silent for as long
- * as it would itself wait for a heartbeat. */
+/* Whether the camera still answers and we still control it. A busy camera may say so, or be silent
+ * for as long as it would itself wait for a heartbeat. */
 static bool is_kept(struct gvcp *channel, uint64_t *answered_us)
 {
     uint32_t privilege;
@@ -305,7 +305,7 @@ static bool is_kept(struct gvcp *channel, uint64_t *answered_us)
     if (error == GC_ERR_TIMEOUT)
         return clock_us() < *answered_us + 1000u * (uint64_t)patience_ms;
     *answered_us = clock_us();
-    return !error && (privilege & (GVCP_EXCLUSIVE | GVCP_CONTROL));
+    return error == GC_ERR_BUSY || (!error && (privilege & (GVCP_EXCLUSIVE | GVCP_CONTROL)));
 }
 
 static void beat(void *context)

@@ -32,6 +32,7 @@ class Endpoints:
         Raises:
             NotConnectedError: One cannot be bound.
         """
+        _check_host(host)
         with ExitStack() as stack:
             control = stack.enter_context(_bound_socket(host, port))
             address = control.getsockname()
@@ -56,6 +57,19 @@ class Endpoints:
 def is_loopback(host: str) -> bool:
     """Tell whether an address is this computer's alone."""
     return IPv4Address(host) in _LOOPBACK
+
+
+def _check_host(host: str) -> None:
+    """Return if the camera can tell others that address as its own."""
+    try:
+        is_one_host = not IPv4Address(host).is_unspecified
+    except ValueError:
+        is_one_host = False
+    if not is_one_host:
+        raise NotConnectedError(
+            f"cannot listen at '{host}': a camera has one IPv4 address, such as 127.0.0.1",
+            device="camera",
+        )
 
 
 def _bound_socket(host: str, port: int, *, is_shared: bool = False) -> socket.socket:

@@ -14,8 +14,8 @@ from tronlab.twin.instruments import CameraOptics
 from tronlab.twin.world import World
 
 _N_PATTERNS: Final = 1 << 16
-_LOOK_S: Final = 0.1
 _STRIDE: Final = 40503  # odd, so that every block id has a shift of its own
+_LOOK_S: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,14 +78,16 @@ def pattern(n: int, width: int, height: int, pixel_format: str) -> GreyImage:
 
 
 class WorldScene:
-    """What the camera of the simulated laboratory sees."""
+    """What the camera of the simulated laboratory sees; it looks ahead until it is closed."""
 
     def __init__(self, world: World, noise: Generator) -> None:
         self._world = world
         self._region = world.spec.camera
         self._optics = CameraOptics(world, noise)
         self._stopped = threading.Event()
-        self._looker = threading.Thread(target=self._look_ahead, daemon=True)
+        self._looker = threading.Thread(
+            target=self._look_ahead, name="camera look-ahead", daemon=True
+        )
         self._looker.start()
 
     def close(self) -> None:
@@ -112,9 +114,10 @@ class WorldScene:
         )
 
     def _look_ahead(self) -> None:
-        """Render each view as soon as nothing moves any more: light reaches a real camera at once.
+        """Render each view as soon as nothing moves any more.
 
-        What is rendered is kept, so the image of a trigger that comes later is ready.
+        The world keeps what was rendered last, so that a trigger that comes later finds it ready: a
+        real camera does not wait for its light either.
         """
         before: object = None
         while not self._stopped.wait(_LOOK_S):

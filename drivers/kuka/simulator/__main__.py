@@ -58,6 +58,7 @@ def _serve(simulation: Simulation) -> None:
         _scene(simulation), simulation.faults, machine=_machine(simulation, options)
     )
     servers: list[EkiServer | KvpServer] = []
+    addresses: dict[str, tuple[str, int]] = {}
     try:
         if ports.command is not None and ports.state is not None:
             eki = EkiServer(
@@ -68,12 +69,14 @@ def _serve(simulation: Simulation) -> None:
                 state_port=ports.state,
             )
             servers.append(eki)
-            announce("robot eki command", *eki.command_address)
-            announce("robot eki state", *eki.state_address)
+            addresses["robot eki command"] = eki.command_address
+            addresses["robot eki state"] = eki.state_address
         if ports.kvp is not None:
             kvp = KvpServer(controller, simulation.faults, host=host, port=ports.kvp)
             servers.append(kvp)
-            announce("robot kvp", *kvp.address)
+            addresses["robot kvp"] = kvp.address
+        for device, address in addresses.items():
+            announce(device, *address)
         wait_until_stopped()
     finally:
         for server in servers:
@@ -98,7 +101,13 @@ def _ports(options: KukaOptions | None, protocol: str | None) -> _Ports:
 
 
 def _asked(arguments: argparse.Namespace, ports: _Ports) -> _Ports:
-    """Put what the command line says in place; ``--port`` is that of the first server."""
+    """Put what the command line says in place; ``--port`` is that of the first server.
+
+    ``--port 0`` asks for any free one, and so for all servers that are given no port of their own.
+    """
+    if arguments.port == 0:
+        served = (ports.command, ports.state, ports.kvp)
+        ports = _Ports(*(None if port is None else 0 for port in served))
     command, kvp = ports.command, ports.kvp
     if command is None:
         kvp = _first(arguments.kvp_port, arguments.port, kvp)

@@ -53,5 +53,5 @@ class SimulatedLamp:
             for each in self._factors.values():
                 level *= each
             if level != self._level:
-                self._level = level
                 self._scene.set_lamp(level)
+                self._level = level  # not before: what the scene did not take is told it again

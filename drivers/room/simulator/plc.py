@@ -103,13 +103,14 @@ class PlcServer:
         self._server = server
         try:
             await server.serve_forever(background=True)
-        except RuntimeError as error:
+        except (RuntimeError, OverflowError) as error:
             self._listening.set_exception(self._not_listening(error))
             return
         host, port = cast("asyncio.Server", server.transport).sockets[0].getsockname()[:2]
         self._listening.set_result((str(host), int(port)))
         while not self._stopped.is_set():
-            self._program.cycle(time.monotonic())
+            with suppress(NotConnectedError):  # whoever serves the laboratory is busy, or has ended
+                self._program.cycle(time.monotonic())
             with suppress(TimeoutError):
                 await asyncio.wait_for(self._stopped.wait(), CYCLE_S)
         await server.shutdown()

@@ -4,10 +4,11 @@ import os
 import select
 import threading
 import tty
+from contextlib import suppress
 from pathlib import Path
 from typing import Final, Protocol
 
-from tronlab.errors import ConfigError
+from tronlab.errors import ConfigError, NotConnectedError
 
 _CHUNK_BYTES: Final = 4096
 _IDLE_S: Final = 0.1
@@ -90,10 +91,10 @@ class PtyDevice:
             ready, _, _ = select.select([self._ours, self._wake_read], [], [], _IDLE_S)
             if self._wake_read in ready:
                 return
-            answer = b""
-            if self._ours in ready:
-                answer = self._device.receive(os.read(self._ours, _CHUNK_BYTES))
-            self._send(answer + self._device.spontaneous())
+            received = os.read(self._ours, _CHUNK_BYTES) if self._ours in ready else b""
+            with suppress(NotConnectedError):  # whoever serves the laboratory is busy, or has ended
+                answer = self._device.receive(received) if received else b""
+                self._send(answer + self._device.spontaneous())
 
     def _send(self, data: bytes) -> None:
         """Send as much as fits: like on a real line, what nobody reads is lost."""

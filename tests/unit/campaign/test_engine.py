@@ -92,6 +92,33 @@ def test_a_door_opened_during_a_shot_suspends_the_run_and_the_shot_is_taken_agai
     assert laboratory.log.count("move") == 5
 
 
+def test_a_door_opened_again_is_another_wait_and_another_attempt(
+    taker: ShotTaker, plan: Plan, laboratory: Any
+) -> None:
+    laboratory.doors = [True, True, False, False, True, True, True, False]
+    records: list[ShotRecord] = []
+    told: list[str] = []
+    listener = RunListener(
+        on_wait=lambda shot, _error: told.append(f"wait {shot.shot_id}: {taker.in_hand}"),
+        on_resume=lambda shot: told.append(f"resume {shot.shot_id}"),
+    )
+    run_shots(plan, taker, commit=records.append, listener=listener)
+    assert told == ["wait 1: shot 1, attempt 1", "wait 1: shot 1, attempt 2", "resume 1"]
+    assert [record.attempt for record in records] == [3, 1, 1, 1]
+
+
+def test_the_time_to_wait_begins_anew_with_every_wait(
+    taker: ShotTaker, plan: Plan, laboratory: Any
+) -> None:
+    room = taker.config.room.model_copy(update={"timeout_s": 1.0})
+    taker.config = taker.config.model_copy(update={"room": room})
+    laboratory.doors = 5 * [True, True, False, False]
+    records: list[ShotRecord] = []
+    run_shots(plan, taker, commit=records.append)
+    assert [record.attempt for record in records] == [6, 1, 1, 1]
+    assert taker.monotonic_s() > 5 * room.timeout_s / 2
+
+
 def test_nothing_moves_while_the_door_is_open(
     taker: ShotTaker, plan: Plan, laboratory: Any
 ) -> None:
@@ -144,6 +171,16 @@ def test_a_lost_device_is_connected_again_and_its_shot_taken_again(
         f"connect {device}",
         *extra,
     ]
+
+
+def test_the_state_of_simulated_devices_connects_by_itself(
+    taker: ShotTaker, plan: Plan, laboratory: Any
+) -> None:
+    laboratory.failures = {("look", 1): NotConnectedError("gone", device="simulated world")}
+    records: list[ShotRecord] = []
+    run_shots(plan, taker, commit=records.append)
+    assert [record.attempt for record in records] == [2, 1, 1, 1]
+    assert not any(call.startswith("connect") for call in laboratory.log)
 
 
 def test_a_device_that_stays_away_ends_the_run(

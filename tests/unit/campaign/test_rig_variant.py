@@ -66,6 +66,19 @@ def test_an_option_of_a_driver_is_named_with_its_line(tmp_path: Path):
         load_rig(path).open_devices(0)
 
 
+def test_devices_taken_over_keep_their_folder_and_their_lines(tmp_path: Path):
+    text = (RIGS / "wire.yaml").read_text(encoding="utf-8")
+    text = text.replace("extends: twin.yaml", f"extends: {TWIN}")
+    (tmp_path / "lab").mkdir()
+    wire = write(tmp_path / "lab" / "wire.yaml", text.replace("port: 10700", "prot: 1"))
+    rig = load_rig(write(tmp_path / "mine.yaml", "extends: lab/wire.yaml\nworld: {seed: 7}\n"))
+    context = rig.device_context("room", seed=0, session="run", world=None)
+    assert context.base_dir == wire.parent
+    line = 1 + text[: text.index("port: 10700")].count("\n")
+    with pytest.raises(ConfigError, match=rf"^{wire}:{line}: devices\.tracker\.options\.prot: "):
+        rig.open_devices(0)
+
+
 def test_a_missing_file_is_one_clear_error(tmp_path: Path):
     path = write(tmp_path / "mine.yaml", "extends: nowhere.yaml\n")
     with pytest.raises(ConfigError, match=r"mine\.yaml:1: extends: no such file: .*nowhere\.yaml"):

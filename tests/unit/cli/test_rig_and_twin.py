@@ -60,6 +60,7 @@ def test_rig_check_lists_every_failure_and_goes_on(tmp_path: Path):
         (("twin", "up", RIGS / "twin.yaml"), "no driver of this rig has a simulator"),
         (("twin", "door", RIGS / "wire.yaml", "ajar"), "a door is 'open' or 'closed'"),
         (("twin", "fault", RIGS / "wire.yaml", "tracker.tired"), "no fault 'tracker.tired'"),
+        (("twin", "fault", RIGS / "wire.yaml", "--clear"), "name the fault that --clear"),
         (("twin", "door", RIGS / "twin.yaml", "open"), "devices.operator.options.world"),
     ],
 )
@@ -68,6 +69,32 @@ def test_a_mistake_is_one_clear_message(arguments: tuple[object, ...], says: str
     assert done.returncode == 2
     assert says in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_a_mistake_in_an_option_is_told_with_its_line_before_anything_starts(tmp_path: Path):
+    rig = variant(
+        tmp_path / "rig.yaml",
+        tracker={"driver": "leica.tracker", "options": {"host": "127.0.0.1", "prot": 1}},
+        operator={"driver": "twin.operator", "options": {"world": "127.0.0.1:99999"}},
+    )
+    done = tronlab("twin", "up", rig)
+    assert done.returncode == 2
+    assert f"{rig}:" in done.stderr
+    assert "devices.tracker.options.prot: unknown key, did you mean port?" in done.stderr
+    assert "devices.operator.options.world" in done.stderr
+    assert "expected HOST:PORT" in done.stderr
+    assert "python -m" not in done.stderr
+
+
+def test_the_address_of_the_world_must_be_one(tmp_path: Path):
+    rig = variant(
+        tmp_path / "rig.yaml",
+        room={"driver": "plc.room", "options": {"plc": {"host": "127.0.0.1", "port": 10502}}},
+        operator={"driver": "twin.operator", "options": {"world": "here"}},
+    )
+    done = tronlab("twin", "door", rig, "open")
+    assert done.returncode == 2
+    assert "devices.operator.options.world: 'here': expected HOST:PORT" in done.stderr
 
 
 def test_faults_are_listed_with_what_happens():

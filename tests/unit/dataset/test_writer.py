@@ -114,6 +114,10 @@ def test_an_unknown_status_is_refused(writer: DatasetWriter) -> None:
             "truth/trs_from_cam_covariance: is not finite",
         ),
         (
+            lambda s: replace(s, frame=replace(s.frame, device_time_s=float("inf"))),
+            "camera/device_time_s: is not finite: inf",
+        ),
+        (
             lambda s: replace(s, tracker=replace(s.tracker, covariance=np.eye(3))),
             r"trk_from_tmac_covariance: shape is \(3, 3\), expected \(6, 6\)",
         ),

@@ -393,7 +393,8 @@ def test_device_without_a_world_says_which_section_is_missing():
 
 
 def test_device_with_options_is_refused(setup):
-    with pytest.raises(ConfigError, match=r"devices\.camera\.options: .* got: host, port"):
+    message = r"devices\.camera\.options\.port: unknown key; known keys: world\n.*\.host: unknown"
+    with pytest.raises(ConfigError, match=message):
         open_camera(DeviceContext("camera", {"port": 1, "host": "x"}, seed=1, world=setup))
 
 

@@ -2,6 +2,7 @@
 
 import os
 import time
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -43,7 +44,7 @@ def running(folder: Path, name: str) -> list[int]:
 
 
 def test_a_fleet_gives_the_addresses_of_all_and_ends_them(tmp_path: Path):
-    with start("well") as ships:
+    with closing(start("well")) as ships:
         assert [str(address) for address in ships.addresses] == ["127.0.0.1:1", "/dev/pts/9"]
         ships.check_alive()
         assert len(running(tmp_path, "well")) == 1
@@ -57,7 +58,7 @@ def test_one_that_does_not_start_ends_all(tmp_path: Path):
 
 
 def test_one_that_ends_later_is_noticed(tmp_path: Path):
-    with start("well") as ships:
+    with closing(start("well")) as ships:
         os.kill(running(tmp_path, "well")[0], 9)
         with pytest.raises(DeviceError, match="well: the simulator has ended"):
             check_for(10.0, ships)
@@ -86,6 +87,6 @@ def test_one_that_prints_something_else_is_refused():
 
 def test_one_that_does_not_end_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(fleet, "_END_TIMEOUT_S", 0.2)
-    with start("deaf"):
+    with closing(start("deaf")):
         assert len(running(tmp_path, "deaf")) == 1
     assert running(tmp_path, "deaf") == []

@@ -13,6 +13,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from tronlab.devices.readings import RobotTarget
 from tronlab.errors import NotConnectedError
+from tronlab.twin import server as server_module
 from tronlab.twin.server import RemoteState, StateServer
 from tronlab.twin.state import FOR_EVER, LocalState, RobotState, StateStore, WorldState
 
@@ -123,9 +124,58 @@ def test_a_taken_port_is_one_clear_error():
         server.close()
 
 
+def test_closing_does_not_wait_for_a_client_that_has_just_come(monkeypatch: pytest.MonkeyPatch):
+    has_come, has_hung_up = threading.Event(), threading.Event()
+    handle, hang_up = server_module._Handler.handle, server_module._Server.hang_up
+
+    def handle_late(handler: server_module._Handler) -> None:
+        has_come.set()
+        assert has_hung_up.wait(timeout=10)
+        handle(handler)
+
+    def tell(server: server_module._Server) -> None:
+        hang_up(server)
+        has_hung_up.set()
+
+    monkeypatch.setattr(server_module._Handler, "handle", handle_late)
+    monkeypatch.setattr(server_module._Server, "hang_up", tell)
+    server = StateServer(LocalState(STATE))
+    with socket.create_connection(server.address, timeout=5):
+        assert has_come.wait(timeout=10)
+        closing = threading.Thread(target=server.close, daemon=True)
+        closing.start()
+        closing.join(timeout=10)
+        assert not closing.is_alive()
+
+
+def test_an_answer_cut_short_is_one_clear_error():
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        remote = RemoteState(*listener.getsockname())
+
+        def answer_half() -> None:
+            connection, _ = listener.accept()
+            with connection:
+                connection.recv(1000)
+                connection.sendall(b'{"ok": tr')
+
+        answering = threading.Thread(target=answer_half)
+        answering.start()
+        with pytest.raises(NotConnectedError, match="closed the connection"):
+            remote.is_armed("camera.gone")
+        answering.join()
+
+
 @pytest.mark.parametrize(
     "line",
-    [b"\n", b"{}\n", b'{"do": "fly"}\n', b'{"do": "change", "values": {"x": 1}}\n', b"\xff\xfe\n"],
+    [
+        b"\n",
+        b"{}\n",
+        b"[]\n",
+        b'{"do": "fly"}\n',
+        b'{"do": "change", "values": {"x": 1}}\n',
+        b'{"do": "change", "values": [1]}\n',
+        b"\xff\xfe\n",
+    ],
 )
 def test_nonsense_is_refused_and_the_next_question_answered(remote: RemoteState, line: bytes):
     host, port = remote._address

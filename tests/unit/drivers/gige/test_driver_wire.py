@@ -180,6 +180,8 @@ def test_region_beyond_the_sensor_is_refused(sound: Simulator, make):
         ({"exposure_s": 61.0}, r"exposure is 61 s, allowed 1e-05 s to 60 s"),
         ({"gain_db": 34.0}, r"gain is 34 dB, allowed 0 dB to 33 dB"),
         ({"gain_db": 1.5}, r"gain is 1\.5 dB, .* in steps of 1 dB"),
+        ({"gain_db": float("nan")}, r"gain is nan dB, allowed 0 dB to 33 dB"),
+        ({"exposure_s": float("inf")}, r"exposure is inf s, allowed 1e-05 s to 60 s"),
         ({"pixel_format": "Bayer"}, r"'Bayer', allowed Mono8, Mono12"),
     ],
 )
@@ -300,6 +302,21 @@ def test_closed_camera_ends_its_stream_with_an_error(connect):
     camera.close()
     with pytest.raises(NotConnectedError, match="closed meanwhile"):
         next(frames)
+
+
+def test_stream_of_a_connection_that_is_gone_leaves_the_newer_one_alone(connect):
+    camera = connect()
+    old = camera.stream(rate_hz=50.0)
+    next(old)
+    camera.close()
+    camera.connect()
+    new = camera.stream(rate_hz=50.0)
+    next(new)
+    old.close()
+    with pytest.raises(LimitError, match=r"a stream .* is running"):
+        camera.grab(timeout_s=5.0)
+    assert_is_pattern(next(new))
+    new.close()
 
 
 def test_rate_the_camera_cannot_do_is_refused(connect):

@@ -371,6 +371,21 @@ def test_a_hold_that_was_accepted_late_is_not_taken_for_a_foreign_command(robot,
     assert controller.now.done_id == 8
 
 
+def test_a_command_that_may_have_arrived_is_held(robot, controller):
+    """Its confirmation is lost, and nobody knows whether it is carried out."""
+
+    def send(command, *, call):
+        number = Controller.send(controller, command, call=call)
+        if command.kind is not CommandKind.HOLD:
+            raise DeviceTimeoutError(f"{call}: LAB_SEQ: no answer in 2 s", device="arm")
+        return number
+
+    controller.send = send
+    with pytest.raises(DeviceTimeoutError, match=r"^arm: move: LAB_SEQ"):
+        robot.move(target(), timeout_s=5.0)
+    assert controller.n_holds == 1
+
+
 def test_a_motion_that_does_not_end_is_held_and_times_out(robot, controller):
     def stuck(state):
         return replace(state, accepted_id=len(controller.sent), done_id=0, is_moving=True)

@@ -160,6 +160,7 @@ class Peer:
         self.received = b""
         self.accept_clients = True
         self.accept_commands = True
+        self._has_refused = threading.Event()
         self._connections: list[socket.socket] = []
         self._is_over = threading.Event()
         self.commands, self.states = (socket.create_server(("127.0.0.1", 0)) for _ in range(2))
@@ -197,10 +198,13 @@ class Peer:
                 connection, _ = server.accept()
             except TimeoutError:
                 continue
+            if server is self.states and not self.accept_commands:
+                self._has_refused.wait(5.0)
             with connection:
                 if self.accept_clients and (self.accept_commands or server is self.states):
                     self._connections.append(connection)
                     self._talk(connection, talk)
+            self._has_refused.set()
 
     def _talk(self, connection, talk):
         connection.settimeout(0.01)

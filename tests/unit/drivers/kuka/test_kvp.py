@@ -194,6 +194,15 @@ def test_no_answer_is_a_timeout_and_a_late_one_is_not_taken_for_the_next(peer, c
     assert client.read("A", call="go") == "1"
 
 
+def test_a_late_answer_is_known_as_such_whatever_ended_the_wait(peer, client):
+    peer.reply_before = b"\x12\x34\x00\x07\x00\x00\x01z\x00\x01\x01"
+    with pytest.raises(ProtocolError, match=r"answer to no question"):
+        client.read("A", call="go")  # its own answer comes after this one
+    peer.reply_before = b""
+    peer.variables["A"] = "2"
+    assert client.read("A", call="go") == "2"
+
+
 def test_an_answer_to_no_question_is_an_error(peer, client):
     peer.reply_before = b"\x12\x34\x00\x07\x00\x00\x01z\x00\x01\x01"
     with pytest.raises(ProtocolError, match=r"^arm: go: A: answer to no question .*12 34"):

@@ -12,6 +12,7 @@ from drivers.leica.wire import decode, size_of
 
 PACKET_SIZES = {
     replies.Number: 20,
+    replies.Direction: 32,
     replies.SystemStatus: 56,
     replies.SystemSettings: 52,
     replies.TrackerInfo: 164,
@@ -82,6 +83,7 @@ def fields_of(decoded: object) -> list[object]:
         ("GetTrackerStatusRT", replies.Number),
         ("GetReflectorRT", replies.Number),
         ("GetFaceRT", replies.Number),
+        ("GetDirectionRT", replies.Direction),
     ],
 )
 def test_every_field_of_cesapis_packet_arrives_in_order(name: str, layout: type):

@@ -4,7 +4,7 @@ import struct
 
 import pytest
 from CESAPI import packet as cesapi
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers.leica.codes import Command
@@ -55,7 +55,9 @@ REQUEST_SIZES = {
     Command.STOP_MEASUREMENT: 12,
     Command.CHANGE_FACE: 12,
     Command.POINT_LASER: 36,
+    Command.POINT_LASER_HVD: 36,
     Command.FIND_REFLECTOR: 20,
+    Command.GET_DIRECTION: 12,
     Command.SET_STATISTIC_MODE: 20,
     Command.CHECK_BIRDBATH: 12,
     Command.GET_FACE: 12,
@@ -118,6 +120,7 @@ PLAIN = {
     Command.START_MEASUREMENT: "StartMeasurementCT",
     Command.STOP_MEASUREMENT: "StopMeasurementCT",
     Command.CHANGE_FACE: "ChangeFaceCT",
+    Command.GET_DIRECTION: "GetDirectionCT",
     Command.GET_FACE: "GetFaceCT",
     Command.GET_MEASUREMENT_STATUS_INFO: "GetMeasurementStatusInfoCT",
     Command.GET_TRACKER_INFO: "GetTrackerInfoCT",
@@ -194,6 +197,11 @@ WITH_VALUES = [
         "PointLaserCT",
         {"dVal1": 1.5, "dVal2": -2.5, "dVal3": 3.25},
     ),
+    (
+        (Command.POINT_LASER_HVD, 0.25, 1.5, 3.25),
+        "PointLaserHVDCT",
+        {"dHzAngle": 0.25, "dVtAngle": 1.5, "dDistance": 3.25},
+    ),
     ((Command.FIND_REFLECTOR, 4.75), "FindReflectorCT", {"dAproxDistance": 4.75}),
     (
         (Command.SET_STATISTIC_MODE, 1, 0),
@@ -247,6 +255,7 @@ def test_event_and_error_are_read_as_golden_bytes_say():
     assert buffer.pop() is None
 
 
+@settings(deadline=None)
 @given(
     bodies=st.lists(st.binary(min_size=8, max_size=60), max_size=8),
     cuts=st.lists(st.integers(1, 30), max_size=80),

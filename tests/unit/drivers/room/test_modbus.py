@@ -147,12 +147,17 @@ def test_a_closed_connection_is_lost_and_not_opened_behind_the_back(link_to):
         pytest.param(lambda request: [reply(request, b"\x63\x01\x02")], id="unknown function"),
     ],
 )
-def test_nonsense_is_an_error_with_its_bytes(link_to, requests: list[bytes], answer: Answer):
+def test_nonsense_is_an_error_with_its_bytes_and_the_end_of_the_link(
+    link_to, requests: list[bytes], answer: Answer
+):
     link = link_to(answer)
     with pytest.raises(ProtocolError) as caught:
         link.read_input_registers(40, 2)
     assert caught.value.sent == requests[0]
     assert caught.value.received
+    with pytest.raises(NotConnectedError, match=r"call connect\(\) again"):
+        link.read_input_registers(40, 2)
+    assert len(requests) == 1
 
 
 def test_a_late_answer_to_another_request_is_not_taken(link_to):

@@ -10,7 +10,7 @@ from pyModbusTCP.utils import decode_ieee, get_2comp, word_list_to_long
 
 from drivers.room.simulator.lamp import SimulatedLamp
 from drivers.room.simulator.plc import PlcServer
-from drivers.room.simulator.program import PlcProgram, SilenceError
+from drivers.room.simulator.program import CYCLE_S, PlcProgram, SilenceError
 from drivers.room.simulator.scene import RoomState, StaticScene
 from tronlab.errors import DeviceFaultError, DeviceTimeoutError, NotConnectedError
 
@@ -136,6 +136,11 @@ def test_a_port_that_is_taken_is_one_clear_error(serve: Serve, plc: Plc, faults)
         PlcServer(plc.program, faults, host="127.0.0.1", port=port)
 
 
+def test_a_port_that_is_none_is_the_same_error(plc: Plc, faults):
+    with pytest.raises(NotConnectedError, match=r"cannot listen at 127\.0\.0\.1:70000"):
+        PlcServer(plc.program, faults, host="127.0.0.1", port=70000)
+
+
 def test_requests_need_a_heartbeat(plc: Plc, scene):
     plc.program.write_coils(0, [True], 100.0)
     assert plc.program.coils[0] is False
@@ -246,3 +251,50 @@ def test_scripted_faults_reach_the_driver(
         room.read() if call == "read" else room.switch_lamp(on=True)
     assert lab.scene.calls[0] == call
     assert getattr(caught.value, "code", 900) == 900
+
+
+class Shared(StaticScene):
+    """The scene of a laboratory that nobody serves for a while."""
+
+    is_gone = False
+
+    def state(self) -> RoomState:
+        self._check()
+        return super().state()
+
+    def set_lamp(self, level: float) -> None:
+        self._check()
+        super().set_lamp(level)
+
+    def _check(self) -> None:
+        if self.is_gone:
+            raise NotConnectedError("nobody answers", device="simulated world")
+
+
+def test_a_laboratory_that_was_gone_for_a_while_ends_nothing(make_lab, make_room):
+    lab = make_lab()
+    lab.scene = scene = Shared()
+    room = make_room(lab.start())
+    room.connect()
+    room.switch_lamp(on=True)
+    scene.is_gone = True
+    with pytest.raises(DeviceTimeoutError, match="no answer from the air sensor"):
+        room.read()
+    room.close()
+    time.sleep(2.5 * CYCLE_S)
+    scene.is_gone = False
+    room.connect()
+    room.switch_lamp(on=True)
+    assert room.read().is_lamp_on
+    assert scene.lamp_level == 1.0
+
+
+def test_what_the_laboratory_did_not_take_is_told_it_again():
+    scene = Shared()
+    lamp = SimulatedLamp(scene, has_supply=False, has_dimmer=False)
+    scene.is_gone = True
+    with pytest.raises(NotConnectedError):
+        lamp.close_contactor(closed=True)
+    scene.is_gone = False
+    lamp.close_contactor(closed=True)
+    assert scene.lamp_level == lamp.level == 1.0

@@ -1,5 +1,7 @@
 """The room as one device: what it reads and switches, and every fault by its name."""
 
+import sys
+import threading
 import time
 
 import pytest
@@ -14,6 +16,7 @@ from tronlab.errors import (
     NotReadyError,
     ProtocolError,
     SafetyError,
+    TronlabError,
 )
 
 
@@ -237,6 +240,14 @@ def test_all_parts_that_fail_are_named_at_once(lab, make_room, faults):
         make_room(lab).connect()
     for what in ("the PLC at", "the dimmer at", "the air sensor at"):
         assert what in str(caught.value)
+
+
+def test_a_package_that_is_missing_leaves_nothing_running(lab, make_room, monkeypatch):
+    monkeypatch.setitem(sys.modules, "serial", None)
+    room = make_room(lab)
+    with pytest.raises(TronlabError, match=r"^here: pyserial is not installed: pip install"):
+        room.connect()
+    assert not any(thread.name == "room heartbeat" for thread in threading.enumerate())
 
 
 def test_nothing_stays_open_after_a_connect_that_failed(lab, make_room, faults):

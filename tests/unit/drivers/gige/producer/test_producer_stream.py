@@ -279,3 +279,18 @@ def test_a_camera_silent_for_less_than_a_heartbeat_is_not_lost(bench: Any) -> No
     answered = camera.n_commands(0x80, 0xA00) + 3
     wait_until(lambda: camera.n_commands(0x80, 0xA00) >= answered)
     assert bench.library.number("DevGetInfo", device, 5) == 5  # still open
+
+
+def test_a_camera_too_busy_to_tell_who_controls_it_is_not_lost(bench: Any) -> None:
+    camera = bench.camera()
+    camera.put(0x938, 600)
+    device = bench.device(camera)
+
+    def say_busy(command: int, request_id: int, payload: bytes) -> bytes | None:
+        is_heartbeat = command == 0x80 and payload == struct.pack(">I", 0xA00)
+        return struct.pack(">HHHH", 0x8007, 0x81, 0, request_id) if is_heartbeat else None
+
+    camera.react = say_busy
+    n_asked = camera.n_commands(0x80, 0xA00)
+    wait_until(lambda: camera.n_commands(0x80, 0xA00) >= n_asked + 3)
+    assert bench.library.number("DevGetInfo", device, 5) == 5  # still open

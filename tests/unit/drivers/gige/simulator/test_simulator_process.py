@@ -97,6 +97,8 @@ def test_faults_are_armed_on_the_command_line(process, hosts):
     [
         (["--fault", "camera.explodes"], "no fault 'camera.explodes'"),
         (["--host", "203.0.113.7", "--port", "0"], "cannot listen at 203.0.113.7:0"),
+        (["--host", "localhost", "--port", "0"], "'localhost': a camera has one IPv4 address"),
+        (["--host", "0.0.0.0"], "'0.0.0.0': a camera has one IPv4 address"),  # noqa: S104
         (["--first-block", "0"], "invalid choice"),
     ],
 )

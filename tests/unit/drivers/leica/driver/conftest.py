@@ -28,6 +28,7 @@ GET_SETTINGS, START, STOP, CHANGE_FACE, POINT_LASER, FIND, SET_STATISTICS = (
     63,
     80,
 )
+GET_DIRECTION = 66
 CHECK_BIRDBATH, GET_FACE, GET_PROBES, PROBE_INFO, SET_LONG, MASK = 87, 98, 103, 119, 120, 122
 TRACKER_INFO, METEO = 132, 139
 EVERYTHING = 0xFFFFF
@@ -145,6 +146,7 @@ class Peer:
             GET_REFLECTORS: reflector_list((4, "RRR-0.5in"), (7, "CCR-1.5in")),
             GET_SETTINGS: reply(GET_SETTINGS, struct.pack("<9I", 0, 1, 1, 0, 0, 1, 1, 1, 0)),
             GET_AIR: reply(GET_AIR, struct.pack("<3d", 21.5, 987.5, 44.0)),
+            GET_DIRECTION: reply(GET_DIRECTION, struct.pack("<2d", 0.25, 1.5)),
             GET_FACE: lambda _: reply(GET_FACE, struct.pack("<I", self.face)),
             SET_REFLECTOR: self._select,
             GET_REFLECTOR: lambda _: reply(GET_REFLECTOR, struct.pack("<i", self.reflector)),

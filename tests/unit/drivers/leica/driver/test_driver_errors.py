@@ -71,7 +71,7 @@ def test_meanings_of_different_numbers_differ():
 @given(nonsense=st.binary(min_size=1, max_size=500), command=st.sampled_from([GET_AIR, START]))
 def test_nonsense_is_always_a_device_error(peer, make, nonsense: bytes, command: int):
     """Whatever comes, the call ends with an error of the tree, and a new connection works."""
-    tracker = make(timeout_s=0.05)
+    tracker = make(timeout_s=0.2)
     peer.answers.pop(command, None)
     tracker.connect()
     peer.answers[command] = nonsense

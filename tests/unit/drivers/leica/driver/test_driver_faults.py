@@ -18,7 +18,9 @@ from tronlab.errors import (
 )
 
 START = 49
+STOP = 52
 POINT_LASER = 58
+POINT_LASER_HVD = 59
 FIND = 63
 
 
@@ -66,6 +68,29 @@ def test_code_is_carried_through(peer, tracker: LeicaTracker, code: int):
     assert fault.value.code == code
 
 
+def test_measurement_that_an_error_ends_runs_no_longer(peer, tracker: LeicaTracker):
+    """An error that answers no command need not have ended it: its result would come later."""
+    peer.answers[START] = peer.reply(START) + peer.error(64, 94)
+    with pytest.raises(DeviceFaultError, match=r"measure_pose: no temperature .*code 94"):
+        tracker.measure_pose(window_s=0.1)
+    assert peer.told(START, STOP) == [START, STOP]
+
+
+def test_search_in_vain_names_every_place_and_what_to_do(peer, tracker: LeicaTracker):
+    peer.answers[START] = peer.reply(START) + peer.pose((2.0, 1.0, 0.0))
+    tracker.measure_pose(window_s=0.1)
+    peer.mask &= ~128
+    peer.answers[FIND] = peer.reply(FIND, status=701)
+    with pytest.raises(TrackingLostError, match=r"drive it back to one of these places") as lost:
+        tracker.measure_pose(window_s=0.1)
+    for place in (
+        "nothing found where the beam points: ",
+        "nothing found within 0.3 m of [2.0, 1.0, 0.0] m: ",
+        "nothing found within 0.3 m of [2.5, 0.25, -0.25] m: FindReflector: the beam is broken",
+    ):
+        assert place in str(lost.value)
+
+
 def test_lost_beam_is_searched_where_it_points_then_where_it_was_then_at_home(
     peer, tracker: LeicaTracker
 ):
@@ -79,6 +104,21 @@ def test_lost_beam_is_searched_where_it_points_then_where_it_was_then_at_home(
     assert [c for c, _ in moves] == [FIND, POINT_LASER, FIND, POINT_LASER, FIND]
     assert moves[1][1] == struct.pack("<3d", *away)
     assert moves[3][1] == struct.pack("<3d", *peer.p_tmac)
+
+
+def test_search_in_vain_is_repeated_where_the_beam_was_lost(peer, tracker: LeicaTracker):
+    tracker.measure_pose(window_s=0.1)
+    peer.mask &= ~128
+    peer.answers[FIND] = peer.reply(FIND, status=701)
+    for _ in range(2):
+        with pytest.raises(TrackingLostError):
+            tracker.measure_pose(window_s=0.1)
+        peer.mask &= ~128
+    points = peer.told(POINT_LASER, POINT_LASER_HVD)
+    assert points == [POINT_LASER, POINT_LASER, POINT_LASER_HVD, POINT_LASER, POINT_LASER]
+    hz_rad, vt_rad, distance_m = struct.unpack("<3d", peer.last(POINT_LASER_HVD))
+    assert (hz_rad, vt_rad) == (0.25, 1.5)
+    assert distance_m == pytest.approx(np.linalg.norm(peer.p_tmac))
 
 
 def test_beam_broken_while_idle_is_searched_before_the_next_measurement(

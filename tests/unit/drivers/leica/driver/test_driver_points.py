@@ -107,6 +107,19 @@ def test_beam_goes_back_to_the_tmac(peer, tracker: LeicaTracker):
     assert peer.last(POINT_LASER) == struct.pack("<3d", *peer.p_tmac)
 
 
+def test_beam_goes_back_to_the_tmac_when_a_reflector_is_not_found(peer, tracker: LeicaTracker):
+    """Else the robot would move on without it."""
+    tracker.follow_target()
+    peer.mask &= ~128
+    peer.answers[FIND] = lambda _: peer.reply(
+        FIND, status=701 if peer.last(SET_MODE)[0] == 0 else 0
+    )
+    with pytest.raises(TrackingLostError, match=r"nothing found within 0.05 m of \[3.0, 2.0"):
+        tracker.measure_point("top_left", window_s=0.5)
+    assert peer.last(SET_MODE) == struct.pack("<I", 6)
+    assert peer.last(POINT_LASER) == struct.pack("<3d", *peer.p_tmac)
+
+
 def test_tmac_that_has_gone_does_not_spoil_a_point(peer, tracker: LeicaTracker):
     tracker.follow_target()
     peer.mask &= ~128

@@ -354,6 +354,32 @@ def test_tmac_that_moved_while_the_beam_was_broken_is_found_nearby(
     )
 
 
+def test_tmac_is_found_again_where_the_beam_broke_on_its_way(
+    tracker: LeicaTracker, faults: ArmedFaults, scene: StaticScene
+):
+    """Far from where it was measured; and something stood there still at the first search."""
+    assert scene.trk_from_tmac is not None
+    tracker.measure_pose(window_s=WINDOW_S)
+    scene.trk_from_tmac = moved(scene.trk_from_tmac, [0.5, -1.0, 0.4])
+    faults.arm("tracker.beam_broken")
+    for _ in range(2):
+        with pytest.raises(TrackingLostError):
+            tracker.measure_pose(window_s=WINDOW_S)
+    scene.trk_from_tmac = moved(scene.trk_from_tmac, [0.0, 0.1, 0.0])
+    faults.arm("tracker.beam_broken", times=0)
+    tracker.measure_pose(window_s=WINDOW_S)
+
+
+def test_tmac_is_found_again_after_the_tracker_was_started_anew(
+    tracker: LeicaTracker, server: TrackerServer
+):
+    """Initialising leaves the beam elsewhere: where it points then is no place of the T-MAC."""
+    tracker.measure_pose(window_s=WINDOW_S)
+    server.tracker.is_initialised = False
+    server.tracker.leave()
+    tracker.measure_pose(window_s=WINDOW_S)
+
+
 def test_tmac_that_has_gone_is_lost(tracker: LeicaTracker, scene: StaticScene):
     scene.trk_from_tmac = None
     with pytest.raises((TrackingLostError, DeviceFaultError), match="identify_target"):

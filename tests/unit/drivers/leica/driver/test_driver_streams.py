@@ -57,6 +57,17 @@ def test_stream_whose_beam_breaks_is_lost(peer, tracker: LeicaTracker):
         list(poses)
 
 
+def test_stop_ends_a_stream_and_lets_the_next_measurement_begin(peer, tracker: LeicaTracker):
+    peer.answers[START] = peer.reply(START) + peer.stream([peer.p_tmac])
+    poses = tracker.stream_poses(interval_s=0.02)
+    next(poses)
+    tracker.stop()
+    with pytest.raises(DeviceError, match=r"stream_poses: stopped by stop\(\)"):
+        next(poses)
+    peer.answers[START] = peer.reply(START) + peer.pose()
+    tracker.measure_pose(window_s=0.1)
+
+
 def test_stream_with_a_bad_pose_is_lost(peer, tracker: LeicaTracker):
     peer.answers[START] = peer.reply(START) + peer.stream([peer.p_tmac], point_status=3)
     with pytest.raises(TrackingLostError, match="point status 3"):
@@ -70,7 +81,7 @@ def test_stream_that_dries_up_times_out(peer, tracker: LeicaTracker):
 
 
 @pytest.mark.parametrize(
-    ("interval_s", "n"), [(0.0, 1), (0.0005, 1), (0.0015, 1), (200, 1), (1, -1)]
+    ("interval_s", "n"), [(0.0, 1), (0.0005, 1), (0.0015, 1), (200, 1), (1, -1), (1, 2**31)]
 )
 def test_stream_that_cannot_be_is_refused(tracker: LeicaTracker, interval_s: float, n: int):
     with pytest.raises(LimitError, match=r"stream_poses: .*allowed"):

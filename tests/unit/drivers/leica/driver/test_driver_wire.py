@@ -3,6 +3,7 @@
 import contextlib
 import struct
 import threading
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -10,9 +11,11 @@ import numpy as np
 import pytest
 
 from drivers.leica.driver import LeicaTracker
+from drivers.leica.notices import Notice
 from tronlab.errors import (
     AccessDeniedError,
     DeviceError,
+    DeviceFaultError,
     DeviceTimeoutError,
     NotConnectedError,
     ProtocolError,
@@ -23,7 +26,9 @@ STOP = 52
 GET_AIR = 21
 GET_REFLECTOR = 41
 GET_REFLECTORS = 42
+FIND = 63
 GET_FACE = 98
+GET_PROBES = 103
 
 
 def test_events_between_request_and_reply_are_kept(peer, make):
@@ -104,6 +109,33 @@ def test_missing_entry_of_a_list_is_a_timeout(peer, make):
     peer.answers[GET_REFLECTORS] = peer.reflector_list((4, "a"), (7, "CCR-1.5in"))[:100]
     with pytest.raises(DeviceTimeoutError, match="GetReflectors"):
         make().connect()
+
+
+def test_list_that_breaks_off_with_an_error_closes_the_connection(peer, tracker: LeicaTracker):
+    """What is left of it may come yet, and would be taken for the answer to the next question."""
+    probe = peer.reply(GET_PROBES, struct.pack("<iiiIi", 3, 3, 877, 5, 4) + bytes(64 + 256))
+    peer.answers[GET_PROBES] = probe + peer.reply(GET_PROBES, status=36)
+    with pytest.raises(DeviceFaultError, match=r"identify_target: GetProbes: .*code 36"):
+        tracker.identify_target()
+    with pytest.raises(NotConnectedError, match="call connect"):
+        tracker.weather()
+
+
+def test_wait_for_an_answer_that_something_else_ends_closes_the_connection(peer, make):
+    """A mistake of who takes the notices, or Ctrl-C: the answer comes, but nobody waits for it."""
+
+    def take(notice: Notice) -> None:
+        if notice.code == 26:
+            raise RuntimeError("mistake")
+
+    tracker = LeicaTracker("tracker", make()._options, on_notice=take)
+    tracker.connect()
+    peer.answers[GET_AIR] = peer.event(26)
+    with pytest.raises(RuntimeError, match="mistake"):
+        tracker.weather()
+    with pytest.raises(NotConnectedError, match="weather: not connected; call connect"):
+        tracker.weather()
+    tracker.close()
 
 
 def test_late_answer_is_not_taken_for_the_next_ones(peer, tracker: LeicaTracker):
@@ -188,6 +220,41 @@ def test_stop_ends_a_measurement_of_another_thread(peer, tracker: LeicaTracker):
     assert "measure_pose: stopped by stop()" in str(failures[0])
     assert STOP in peer.told(STOP)
     tracker.weather()
+
+
+def test_stop_during_a_search_lets_no_measurement_begin(peer, tracker: LeicaTracker):
+    searching, go_on = threading.Event(), threading.Event()
+    peer.locks_when_searched(128)
+    find = peer.answers[FIND]
+
+    def find_late(body: bytes) -> bytes:
+        searching.set()
+        assert go_on.wait(5.0)
+        return find(body)
+
+    peer.answers[FIND] = find_late
+    failures: list[DeviceError] = []
+
+    def measure() -> None:
+        try:
+            tracker.measure_pose(window_s=0.1)
+        except DeviceError as error:
+            failures.append(error)
+
+    measuring = threading.Thread(target=measure)
+    measuring.start()
+    assert searching.wait(5.0)
+    stopping = threading.Thread(target=tracker.stop)
+    stopping.start()
+    while not tracker._connection._interrupted.is_set():
+        time.sleep(0.001)
+    go_on.set()
+    for thread in (measuring, stopping):
+        thread.join(5.0)
+        assert not thread.is_alive()
+    assert "measure_pose: stopped by stop()" in str(failures[0])
+    assert peer.told(START, STOP) == [STOP]
+    tracker.measure_pose(window_s=0.1)
 
 
 def test_calls_of_several_threads_do_not_mix(peer, tracker: LeicaTracker):
