@@ -1,18 +1,28 @@
-"""Scoring many shots: in this process, or in several that each have a dataset open."""
+"""Scoring many shots: in this process, or in several that each have a dataset open.
+
+Every worker process has a pipe of its own. A pool of the standard library shares one between all,
+and hangs if a worker is ended while it writes into that: a Ctrl-C would not end the scoring.
+"""
 
 import multiprocessing
 import signal
-from collections.abc import Generator
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from collections.abc import Generator, Iterable
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
 from pathlib import Path
 
 from tronlab.errors import ScoreError, TronlabError
 from tronlab.score.shot import CoreScore, ShotScorer
 
-_scorers: dict[tuple[Path, tuple[str, ...]], ShotScorer] = {}
-"""The scorer of this worker process, built by its first shot."""
+
+@dataclass(frozen=True, slots=True)
+class _Worker:
+    """A process that scores one shot at a time."""
+
+    process: SpawnProcess
+    connection: Connection
 
 
 def score_shots(
@@ -44,59 +54,75 @@ def _score_here(
 def _score_in_processes(
     dataset_path: Path, core_names: tuple[str, ...], n_shots: int, *, n_workers: int
 ) -> Generator[tuple[int, list[CoreScore]]]:
-    with _pool(n_workers) as pool:
+    todo = iter(range(n_shots))
+    with _workers(n_workers, dataset_path, core_names) as workers:
+        busy = {worker.connection: next(todo) for worker in workers}
         try:
-            with interrupts_held():
-                futures = {
-                    pool.submit(_score_in_worker, dataset_path, core_names, i): i
-                    for i in range(n_shots)
-                }
-            for future in as_completed(futures):
-                answer = future.result()
-                if isinstance(answer, TronlabError):
-                    raise answer
-                yield futures[future], answer
-        except BrokenProcessPool as error:
+            for connection, i in busy.items():
+                connection.send(i)
+            while busy:
+                for connection in _ready(busy):
+                    answer = connection.recv()
+                    if isinstance(answer, TronlabError):
+                        raise answer
+                    i = busy.pop(connection)
+                    if (following := next(todo, None)) is not None:
+                        connection.send(following)
+                        busy[connection] = following
+                    yield i, answer
+        except (EOFError, OSError) as error:
             raise ScoreError(
                 "a worker process died: out of memory, or a core that crashed;"
                 " try again with fewer workers, or one core at a time"
             ) from error
 
 
-def _score_in_worker(
-    dataset_path: Path, core_names: tuple[str, ...], i: int
-) -> list[CoreScore] | TronlabError:
-    """Score one shot in a worker; an error comes back as an answer, so that it arrives whole."""
-    key = (dataset_path, core_names)
-    try:
-        if key not in _scorers:
-            _scorers[key] = ShotScorer(dataset_path, core_names)
-        return _scorers[key].score(i)
-    except TronlabError as error:
-        return ScoreError(str(error))
-
-
-def _start_worker() -> None:
-    import cv2
-
-    cv2.setNumThreads(1)
+def _ready(connections: Iterable[Connection]) -> list[Connection]:
+    """Wait until there is something to be read, and give the connections it is on."""
+    connections = list(connections)
+    ready = wait(connections)
+    return [connection for connection in connections if connection in ready]
 
 
 @contextmanager
-def _pool(n_workers: int) -> Generator[ProcessPoolExecutor]:
-    """Open worker processes, and end them at once when the work is done or given up."""
-    others = set(multiprocessing.active_children())
-    pool = ProcessPoolExecutor(
-        n_workers, mp_context=multiprocessing.get_context("spawn"), initializer=_start_worker
-    )
+def _workers(
+    n_workers: int, dataset_path: Path, core_names: tuple[str, ...]
+) -> Generator[list[_Worker]]:
+    """Start worker processes, and end them at once when the work is done or given up."""
+    workers: list[_Worker] = []
     try:
-        yield pool
-    except BaseException:
-        for child in set(multiprocessing.active_children()) - others:
-            child.terminate()
-        raise
+        with interrupts_held():
+            for _ in range(n_workers):
+                workers.append(_start_worker(dataset_path, core_names))
+        yield workers
     finally:
-        pool.shutdown(cancel_futures=True)
+        for worker in workers:
+            worker.process.terminate()
+        for worker in workers:
+            worker.process.join()
+            worker.connection.close()
+
+
+def _start_worker(dataset_path: Path, core_names: tuple[str, ...]) -> _Worker:
+    context = multiprocessing.get_context("spawn")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=_work, args=(theirs, dataset_path, core_names))
+    process.start()
+    theirs.close()  # so that a worker that dies is seen as the end of its pipe
+    return _Worker(process, ours)
+
+
+def _work(connection: Connection, dataset_path: Path, core_names: tuple[str, ...]) -> None:
+    """Score the shots asked for; an error goes back as an answer, so that it arrives whole."""
+    scorer: ShotScorer | None = None
+    with _one_opencv_thread(), suppress(EOFError):  # the end of the pipe is the end of the work
+        while True:
+            i = connection.recv()
+            try:
+                scorer = scorer or ShotScorer(dataset_path, core_names)
+                connection.send(scorer.score(i))
+            except TronlabError as error:
+                connection.send(ScoreError(str(error)))
 
 
 @contextmanager
