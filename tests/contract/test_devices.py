@@ -119,7 +119,7 @@ def make(rig, wire_options):
 
 @pytest.fixture
 def target(rig):
-    return rig.config.laboratory.mounting.robot_target(
+    return rig.config.laboratory.mounting.nominal.robot_target(
         pose_along_boresight([1.1, 2.1, 2.0], boresight=[0, 0, -1], right=[0, 1, 0])
     )
 

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 import numpy as np
-
-from tronlab.calib.record import IDENTIFIED_DEVICES, CalibrationRecord
+from records import make_record, make_results
+from tronlab.calib.record import IDENTIFIED_DEVICES
 from tronlab.campaign.provenance import device_identities
 from tronlab.campaign.rig import load_rig
 from tronlab.devices.registry import connected
@@ -21,20 +21,15 @@ def save_perfect_record(path: Path, *, rig_path: Path) -> Path:
     devices = rig.open_devices(0, load_heightmap=lambda: flat)
     with connected(devices):
         identities = device_identities(devices)
-    CalibrationRecord(
-        rig_name=rig.name,
-        created_utc="2026-01-01T00:00:00Z",
-        software={"tronlab": "test"},
-        devices={name: identities[name] for name in IDENTIFIED_DEVICES},
+    results = make_results(
         camera=laboratory.camera,
-        camera_covariance=1e-6 * np.eye(9),
         trs_from_trk=laboratory.trk_from_trs.inv(),
-        trs_from_trk_covariance=1e-12 * np.eye(6),
         tmac_from_cam=laboratory.flange_from_tmac.inv() * laboratory.flange_from_cam,
-        tmac_from_cam_covariance=1e-12 * np.eye(6),
         p_lamp_trs_m=laboratory.p_light_trs_m,
-        p_lamp_trs_covariance_m2=1e-6 * np.eye(3),
-        statistics={},
-        inputs={},
+    )
+    make_record(
+        results,
+        rig_name=rig.name,
+        devices={name: identities[name] for name in IDENTIFIED_DEVICES},
     ).save(path)
     return path

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tronlab.devices.laboratory import BoardSpec
+from tronlab.devices.laboratory import PatternSpec
 from tronlab.geometry.poses import FloatArray
 
 _WHITE_12_BIT = 4095
@@ -27,7 +27,7 @@ class BoardView:
         return len(self.ids)
 
 
-def corner_points(spec: BoardSpec) -> FloatArray:
+def corner_points(spec: PatternSpec) -> FloatArray:
     """Give the inner corners of the board by their number, shape (n, 3), metres, frame board."""
     columns, rows = np.meshgrid(np.arange(1, spec.columns), np.arange(1, spec.rows))
     flat = np.zeros((columns.size, 3))
@@ -35,7 +35,7 @@ def corner_points(spec: BoardSpec) -> FloatArray:
     return flat
 
 
-def charuco_board(spec: BoardSpec) -> cv2.aruco.CharucoBoard:
+def charuco_board(spec: PatternSpec) -> cv2.aruco.CharucoBoard:
     """Make OpenCV's description of the board."""
     dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, spec.dictionary))
     return cv2.aruco.CharucoBoard(
@@ -43,7 +43,7 @@ def charuco_board(spec: BoardSpec) -> cv2.aruco.CharucoBoard:
     )
 
 
-def detect_board(image: NDArray[np.uint8] | NDArray[np.uint16], spec: BoardSpec) -> BoardView:
+def detect_board(image: NDArray[np.uint8] | NDArray[np.uint16], spec: PatternSpec) -> BoardView:
     """Find the corners of the board, to a small part of a pixel.
 
     Args:

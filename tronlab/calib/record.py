@@ -1,31 +1,40 @@
 """The calibration record: what was measured, what followed from it, and for which rig.
 
 A record is one JSON file a person can read: units stand in the keys, a pose carries both frame
-names, every result its covariance, and the raw readings behind the results lie inside.
+names, every result its covariance, and the raw readings behind the results lie inside. A part that
+was not measured is missing. The signature tells an edited record from one that was calibrated.
 """
 
+import hashlib
+import json
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from tronlab.calib.inputs import Inputs
 from tronlab.calib.record_json import Fields, format_json, parse_json
+from tronlab.calib.results import Results
+from tronlab.calib.results_json import results_from_json, results_to_json
+from tronlab.devices.laboratory import MountingSpec
+from tronlab.devices.mounting import Mounting
 from tronlab.devices.readings import DeviceIdentity, PoseReading
-from tronlab.errors import CalibrationError
+from tronlab.errors import CalibrationError, ConfigError
 from tronlab.geometry.camera import CameraModel
-from tronlab.geometry.poses import FloatArray, xyz_quat_from_pose
+from tronlab.geometry.poses import FloatArray
 from tronlab.geometry.uncertainty import compose_covariance
+from tronlab.yaml_models import parse_mapping
 
 SCHEMA = "tronlab-calibration"
-SCHEMA_VERSION = 2
-CAMERA_PARAMETERS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3")
-"""Order of rows and columns of ``camera_covariance``."""
+SCHEMA_VERSION = 3
 IDENTIFIED_DEVICES = ("camera", "tracker", "tmac")
 """Whose exchange makes a record worthless."""
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,94 +47,79 @@ class CalibrationRecord:
     software: dict[str, str]
     """Versions of tronlab, Python and the libraries that shape the numbers."""
     devices: dict[str, DeviceIdentity]
-    """Of camera, tracker and tmac."""
-    camera: CameraModel
-    camera_covariance: FloatArray
-    """Of ``CAMERA_PARAMETERS``, shape (9, 9)."""
-    trs_from_trk: RigidTransform
-    trs_from_trk_covariance: FloatArray
-    """Of (rotation vector, translation) in trs, shape (6, 6), rad and m; geometry.uncertainty."""
-    tmac_from_cam: RigidTransform
-    tmac_from_cam_covariance: FloatArray
-    """Of (rotation vector, translation) in tmac, shape (6, 6), rad and m."""
-    p_lamp_trs_m: FloatArray
-    """Centre of the reflector on the lamp's housing, shape (3,), taken for the light itself."""
-    p_lamp_trs_covariance_m2: FloatArray
-    """Of the reflector, shape (3, 3); how far the light is from it is not known, and not in it."""
-    statistics: dict[str, Any]
-    """How well the solution fits what was measured; plain values."""
-    inputs: dict[str, Any]
-    """Raw readings and detections the results follow from; plain values."""
+    """Of camera, tracker and tmac; of those that were used, if not all parts were measured."""
+    results: Results
+    inputs: Inputs = field(default_factory=Inputs)
+    valid_days: float | None = None
+    """How long after its oldest part was measured the record serves; None: without end."""
+    source: str = field(default="(new)", compare=False)
+    """What errors call the record: its file."""
 
     @classmethod
-    def load(cls, path: Path) -> "CalibrationRecord":
-        """Read a record.
+    def load(cls, path: Path, *, check_signature: bool = True) -> "CalibrationRecord":
+        """Read a record; ``check_signature`` is whether to refuse one that was edited.
 
         Raises:
-            CalibrationError: No such file, no record, a damaged one, or one of a newer schema.
+            CalibrationError: No such file, no record, a damaged or edited one, or one of another
+                schema.
         """
         try:
             text = path.read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:
             reason = error.strerror if isinstance(error, OSError) else "is not a text file"
             raise CalibrationError(
-                f"calibration record {path}: {reason};\nmake one: tronlab calibrate"
+                f"calibration record {path}: {reason};"
+                f"\nmake one: tronlab calibrate all --rig RIG.yaml --record {path}"
             ) from error
-        return cls.from_json(text, source=str(path))
+        return cls.from_json(text, source=str(path), check_signature=check_signature)
 
     @classmethod
-    def from_json(cls, text: str, *, source: str = "(text)") -> "CalibrationRecord":
-        """Read a record from the text of its file; ``source`` is what errors call it.
+    def from_json(
+        cls, text: str, *, source: str = "(text)", check_signature: bool = True
+    ) -> "CalibrationRecord":
+        """Read a record from the text of its file.
+
+        Args:
+            text: The text.
+            source: What errors call the record.
+            check_signature: Whether to refuse a record that was edited.
 
         Raises:
             CalibrationError: As ``load``.
         """
-        fields = Fields(parse_json(text, source), source)
+        values = parse_json(text, source)
+        fields = Fields(values, source)
         fields.check_schema(SCHEMA, SCHEMA_VERSION)
+        if check_signature:
+            _check_signature(values, source)
+        results = results_from_json(fields)
         return cls(
             rig_name=fields.text("rig_name"),
             created_utc=fields.text("created_utc"),
             software=fields.texts("software"),
-            devices=fields.identities("devices", needed=IDENTIFIED_DEVICES),
-            camera=fields.camera("camera"),
-            camera_covariance=fields.covariance("camera_covariance", n=len(CAMERA_PARAMETERS)),
-            trs_from_trk=fields.pose("trs_from_trk", parent="trs", child="trk"),
-            trs_from_trk_covariance=fields.covariance("trs_from_trk.covariance_rad_m", n=6),
-            tmac_from_cam=fields.pose("tmac_from_cam", parent="tmac", child="cam"),
-            tmac_from_cam_covariance=fields.covariance("tmac_from_cam.covariance_rad_m", n=6),
-            p_lamp_trs_m=fields.array("lamp.p_trs_m", shape=(3,)),
-            p_lamp_trs_covariance_m2=fields.covariance("lamp.covariance_m2", n=3),
-            statistics=fields.mapping("statistics"),
-            inputs=fields.mapping("inputs"),
+            devices=fields.identities("devices", needed=()),
+            results=results,
+            inputs=_inputs(fields, source),
+            valid_days=fields.optional_number("valid_days"),
+            source=source,
         )
 
     def to_json(self) -> str:
         """Give the text of the record's file."""
-        return format_json(
-            {
-                "schema": SCHEMA,
-                "schema_version": SCHEMA_VERSION,
-                "rig_name": self.rig_name,
-                "created_utc": self.created_utc,
-                "software": self.software,
-                "devices": {name: asdict(device) for name, device in self.devices.items()},
-                "statistics": self.statistics,
-                "camera": self.camera.to_dict(),
-                "camera_covariance_of": list(CAMERA_PARAMETERS),
-                "camera_covariance": self.camera_covariance.tolist(),
-                "trs_from_trk": _pose_json(
-                    self.trs_from_trk, self.trs_from_trk_covariance, parent="trs", child="trk"
-                ),
-                "tmac_from_cam": _pose_json(
-                    self.tmac_from_cam, self.tmac_from_cam_covariance, parent="tmac", child="cam"
-                ),
-                "lamp": {
-                    "p_trs_m": self.p_lamp_trs_m.tolist(),
-                    "covariance_m2": self.p_lamp_trs_covariance_m2.tolist(),
-                },
-                "inputs": self.inputs,
-            }
-        )
+        values: dict[str, Any] = {
+            "schema": SCHEMA,
+            "schema_version": SCHEMA_VERSION,
+            "rig_name": self.rig_name,
+            "created_utc": self.created_utc,
+            "valid_days": self.valid_days,
+            "software": self.software,
+            "devices": {name: asdict(device) for name, device in self.devices.items()},
+            **results_to_json(self.results),
+            "inputs": self.inputs.model_dump(mode="json", exclude_none=True),
+        }
+        # Read back: what counts is what the file says, and a tuple comes back as a list.
+        values = json.loads(format_json(values))
+        return format_json({**values, "signature": signature_of(values)})
 
     def save(self, path: Path) -> None:
         """Write the record, whole or not at all; folders are made, an existing file is replaced.
@@ -141,6 +135,35 @@ class CalibrationRecord:
         except OSError as error:
             raise CalibrationError(f"calibration record {path}: {error.strerror}") from error
 
+    @property
+    def camera(self) -> CameraModel:
+        """Get the intrinsics; like all parts, missing ones raise CalibrationError."""
+        return self._part(self.results.camera, "intrinsics").camera
+
+    @property
+    def trs_from_trk(self) -> RigidTransform:
+        """Get where the tracker stands."""
+        return self._part(self.results.frame, "frame").trs_from_trk
+
+    @property
+    def tmac_from_cam(self) -> RigidTransform:
+        """Get where the camera sits on the T-MAC."""
+        return self._part(self.results.hand_eye, "hand-eye").tmac_from_cam
+
+    @property
+    def p_lamp_trs_m(self) -> FloatArray:
+        """Get the centre of the light, shape (3,)."""
+        return self._part(self.results.lamp, "lamp").p_trs_m
+
+    def check_complete(self) -> None:
+        """Refuse to serve a campaign without all it needs; a campaign can do without ``robot``.
+
+        Raises:
+            CalibrationError: A part is missing.
+        """
+        for part in (self.camera, self.trs_from_trk, self.tmac_from_cam, self.p_lamp_trs_m):
+            del part
+
     def trs_from_cam(self, reading: PoseReading) -> tuple[RigidTransform, FloatArray]:
         """Give where the camera is when the tracker reads this, and how sure that is.
 
@@ -148,15 +171,55 @@ class CalibrationRecord:
             ``trs_from_cam`` and its covariance, shape (6, 6), rad and m, from those of the
             frame, the reading and the hand-eye transform, taken as independent.
         """
-        trs_from_tmac = self.trs_from_trk * reading.trk_from_tmac
+        frame = self._part(self.results.frame, "frame")
+        hand_eye = self._part(self.results.hand_eye, "hand-eye")
+        trs_from_tmac = frame.trs_from_trk * reading.trk_from_tmac
         covariance = compose_covariance(
-            self.trs_from_trk,
-            self.trs_from_trk_covariance,
-            reading.trk_from_tmac,
-            reading.covariance,
+            frame.trs_from_trk, frame.covariance, reading.trk_from_tmac, reading.covariance
         )
-        return trs_from_tmac * self.tmac_from_cam, compose_covariance(
-            trs_from_tmac, covariance, self.tmac_from_cam, self.tmac_from_cam_covariance
+        return trs_from_tmac * hand_eye.tmac_from_cam, compose_covariance(
+            trs_from_tmac, covariance, hand_eye.tmac_from_cam, hand_eye.covariance
+        )
+
+    def mounting(self, nominal: MountingSpec) -> Mounting:
+        """Give how to drive to a pose: as calibrated, or as designed if the robot was not."""
+        robot = self.results.robot
+        if robot is None:
+            return nominal.nominal
+        return Mounting(
+            trs_from_rail=robot.trs_from_rail,
+            rail_axis=robot.rail_axis,
+            flange_from_cam=robot.flange_from_tmac * self.tmac_from_cam,
+            arm_forward_m=nominal.arm_forward_m,
+        )
+
+    @property
+    def expires_utc(self) -> datetime | None:
+        """Get until when the record serves; None: without end."""
+        if self.valid_days is None:
+            return None
+        dates = [*self.inputs.measured_utc.values()] or [self.created_utc]
+        return min(map(datetime.fromisoformat, dates)) + timedelta(days=self.valid_days)
+
+    def check_validity(self, now: datetime | None = None) -> None:
+        """Refuse to serve beyond its time.
+
+        Args:
+            now: By default, now.
+
+        Raises:
+            CalibrationError: The record has expired; the message says which part is too old.
+        """
+        expires = self.expires_utc
+        if expires is None or (now or datetime.now(UTC)) <= expires:
+            return
+        dates = self.inputs.measured_utc
+        oldest = min(dates, key=lambda name: dates[name]) if dates else "all"
+        part, measured_utc = oldest.replace("_", "-"), dates.get(oldest, self.created_utc)
+        raise CalibrationError(
+            f"calibration record {self.source}: expired at {expires:%Y-%m-%d %H:%M} UTC: {part} was"
+            f" measured at {measured_utc}, and the record is valid for {self.valid_days:g} days;"
+            f"\nmeasure it anew: tronlab calibrate {part} --rig RIG.yaml --record {self.source}"
         )
 
     def check_rig(self, rig_name: str) -> None:
@@ -167,9 +230,9 @@ class CalibrationRecord:
         """
         if rig_name != self.rig_name:
             raise CalibrationError(
-                f"calibration record of another rig: it was made on '{self.rig_name}' at"
-                f" {self.created_utc}, this rig is '{rig_name}';"
-                "\nname this rig's record, or make one: tronlab calibrate"
+                f"calibration record {self.source}: of another rig: it was made on"
+                f" '{self.rig_name}' at {self.created_utc}, this rig is '{rig_name}';"
+                "\nname this rig's record, or make one: tronlab calibrate all --rig RIG.yaml"
             )
 
     def check_devices(self, identities: Mapping[str, DeviceIdentity]) -> None:
@@ -182,24 +245,48 @@ class CalibrationRecord:
             CalibrationError: One of them was exchanged; all that were are named.
         """
         exchanged = [
-            f"{name}: record '{self.devices[name]}', now '{identities.get(name, 'none')}'"
-            for name in IDENTIFIED_DEVICES
-            if name not in identities or not identities[name].is_same_device(self.devices[name])
+            f"{name}: record '{device}', now '{identities.get(name, 'none')}'"
+            for name, device in self.devices.items()
+            if name not in identities or not identities[name].is_same_device(device)
         ]
         if exchanged:
             raise CalibrationError(
-                f"calibration record of other devices, made on '{self.rig_name}' at"
-                f" {self.created_utc}: {'; '.join(exchanged)};\nmake a new one: tronlab calibrate"
+                f"calibration record {self.source}: of other devices, made on '{self.rig_name}' at"
+                f" {self.created_utc}: {'; '.join(exchanged)};"
+                "\nmake a new one: tronlab calibrate all --rig RIG.yaml"
             )
 
+    def with_results(self, results: Results) -> "CalibrationRecord":
+        """Give the same record with other results, as a rerun does."""
+        return replace(self, results=results)
 
-def _pose_json(
-    parent_from_child: RigidTransform, covariance: FloatArray, *, parent: str, child: str
-) -> dict[str, Any]:
-    return {
-        "parent": parent,
-        "child": child,
-        "xyz_m_quat_xyzw": xyz_quat_from_pose(parent_from_child).tolist(),
-        "covariance_of": "rotation vector (rad), translation (m), both in the parent frame",
-        "covariance_rad_m": np.asarray(covariance).tolist(),
-    }
+    def _part(self, part: T | None, name: str) -> T:
+        if part is None:
+            raise CalibrationError(
+                f"calibration record {self.source}: has no {name};"
+                f"\nmeasure it: tronlab calibrate {name} --rig RIG.yaml --record {self.source}"
+            )
+        return part
+
+
+def signature_of(values: Mapping[str, Any]) -> str:
+    """Give the hash of a record's plain values, ``signature`` itself left out."""
+    unsigned = {name: value for name, value in values.items() if name != "signature"}
+    text = json.dumps(unsigned, sort_keys=True, separators=(",", ":"))
+    return "sha256:" + hashlib.sha256(text.encode()).hexdigest()
+
+
+def _check_signature(values: Mapping[str, Any], source: str) -> None:
+    if values.get("signature") != signature_of(values):
+        raise CalibrationError(
+            f"calibration record {source}: signature: does not match: the file was changed after it"
+            " was calibrated;\nrestore it, or solve it again from its readings:"
+            f" tronlab calibrate rerun {source} --out NEW.json"
+        )
+
+
+def _inputs(fields: Fields, source: str) -> Inputs:
+    try:
+        return parse_mapping(fields.mapping("inputs"), Inputs, key="inputs")
+    except ConfigError as error:
+        raise CalibrationError(f"calibration record {source}: {error}") from error

@@ -10,7 +10,7 @@ from scipy.spatial.transform import RigidTransform
 
 from tronlab.devices.readings import DeviceIdentity
 from tronlab.errors import CalibrationError, FrameError
-from tronlab.geometry.camera import CameraModel
+from tronlab.geometry.camera import N_DISTORTION, CameraModel
 from tronlab.geometry.poses import FloatArray, pose_from_xyz_quat
 
 _SYMMETRY_TOLERANCE = 1e-9
@@ -67,11 +67,11 @@ class Fields:
         found = self.get("schema_version")
         if not isinstance(found, int) or found < 1:
             self._fail("schema_version", f"is {found!r}, expected {version}")
-        if found > version:
+        if found != version:
             raise CalibrationError(
-                f"calibration record {self._source}: schema_version: is {found}, newer than"
-                f" {version}, the newest this tronlab reads;\nupdate tronlab, or make a new"
-                " record: tronlab calibrate"
+                f"calibration record {self._source}: schema_version: is {found}, this tronlab reads"
+                f" {version};\n{'update tronlab, or ' if found > version else ''}make a new record:"
+                " tronlab calibrate all --rig RIG.yaml"
             )
 
     def get(self, key: str) -> Any:
@@ -87,12 +87,27 @@ class Fields:
             value = cast("dict[str, Any]", value)[part]
         return value
 
+    def has(self, key: str) -> bool:
+        """Tell whether there is a top-level key."""
+        return key in self._values
+
     def text(self, key: str) -> str:
         """Give a text that is not empty."""
         value = self.get(key)
         if not isinstance(value, str) or not value:
             self._fail(key, f"is {value!r}, expected a text")
         return value
+
+    def one_of(self, key: str, allowed: Sequence[str]) -> str:
+        """Give a text that is one of those allowed."""
+        value = self.text(key)
+        if value not in allowed:
+            self._fail(key, f"is '{value}', expected one of {', '.join(allowed)}")
+        return value
+
+    def optional_number(self, key: str) -> float | None:
+        """Give a number, or None if it says so."""
+        return None if self.get(key) is None else float(self.array(key, shape=()))
 
     def mapping(self, key: str) -> dict[str, Any]:
         """Give a mapping."""
@@ -160,7 +175,7 @@ class Fields:
         """Give a camera model."""
         values = self.mapping(key)
         for name in values:
-            self.array(f"{key}.{name}", shape=(5,) if name == "distortion" else ())
+            self.array(f"{key}.{name}", shape=(N_DISTORTION,) if name == "distortion" else ())
         try:
             return CameraModel.from_dict(values)
         except CalibrationError as error:

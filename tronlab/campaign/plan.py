@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from tronlab.devices.laboratory import MountingSpec
+from tronlab.devices.mounting import Mounting
 from tronlab.devices.protocols import Robot
 from tronlab.devices.readings import RobotTarget
 from tronlab.errors import LimitError, PlanError
@@ -68,7 +68,7 @@ class Plan:
         return hashlib.sha256(json.dumps(rows).encode()).hexdigest()
 
 
-def make_plan(poses: Sequence[RigidTransform], *, mounting: MountingSpec) -> Plan:
+def make_plan(poses: Sequence[RigidTransform], *, mounting: Mounting) -> Plan:
     """Expand ``trs_from_cam`` poses into shots with ids from 1.
 
     Raises:

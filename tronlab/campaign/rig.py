@@ -40,6 +40,13 @@ class DevicesConfig(Model):
     """Who does what no device can do, such as placing the calibration board."""
 
 
+class CalibrationConfig(Model):
+    """How calibrations of this rig are looked after."""
+
+    valid_days: Annotated[float, Field(gt=0)] | None = 30.0
+    """How long after it was measured a calibration record serves; null: without end."""
+
+
 RigName: TypeAlias = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
 
 
@@ -54,6 +61,8 @@ class RigConfig(Model):
     """The terrain model."""
     devices: DevicesConfig
     """The devices, and the drivers that talk to them."""
+    calibration: CalibrationConfig = CalibrationConfig()
+    """How calibrations of this rig are looked after."""
     world: WorldConfig | None = None
     """The simulated laboratory behind twin devices; a rig of hardware has none."""
 
@@ -69,6 +78,7 @@ class RigVariant(Model):
     """Instead of the other file's, whole; likewise all sections below."""
     terrain: TerrainConfig | None = None
     devices: DevicesConfig | None = None
+    calibration: CalibrationConfig | None = None
     world: WorldConfig | None = None
 
 

@@ -3,18 +3,19 @@
 Nominal values drive the robot and start the calibration; they are never ground truth.
 """
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
 from pydantic import Field, model_validator
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from tronlab.devices.readings import RobotTarget
+from tronlab.devices.mounting import Mounting
 from tronlab.geometry.camera import CameraModel
 from tronlab.yaml_models import Model
 
 Vector = tuple[float, float, float]
 Positive = Annotated[float, Field(gt=0)]
+NotNegative = Annotated[float, Field(ge=0)]
 Count = Annotated[int, Field(gt=0)]
 
 
@@ -34,23 +35,51 @@ class PoseSpec(Model):
 
 
 class ReflectorsSpec(Model):
-    """Where the three reflectors that define F_TRS are meant to be, in trs."""
+    """The marks on the model that define F_TRS, and the reflectors that are put on them."""
 
     bottom_left_m: Vector
-    """On the X-axis, by definition of the frame."""
+    """Mark on the X-axis, by definition of the frame."""
     top_right_m: Vector
-    """In the X-Y plane, by definition of the frame."""
+    """Mark in the X-Y plane, by definition of the frame."""
+    more_m: Annotated[dict[str, Vector], Field(default_factory=dict)]
+    """Further marks by name, in trs; with them the frame is a least-squares fit to all marks, and
+    their places must be known as well as the tracker measures."""
     length_tolerance_m: Positive = 0.001
     """How much a measured distance between two reflectors may differ from the nominal one."""
+    sphere_radius_m: NotNegative = 0.0
+    """Radius of the reflectors' spheres: 0.01905 for 1.5 inch. The tracker reports the centre."""
+    nest_offset_m: float = 0.0
+    """Height of the sphere's lowest point above its mark, along Z of trs. With radius and offset 0
+    the centres themselves define the frame, as in the paper."""
+    nest_offsets_m: Annotated[dict[str, float], Field(default_factory=dict)]
+    """The same by name, for reflectors whose nest is another one."""
 
     @property
     def points_m(self) -> dict[str, Vector]:
-        """Get the nominal place of each reflector by name."""
+        """Get the nominal place of each mark by name."""
         return {
             "top_left": (0.0, 0.0, 0.0),
             "bottom_left": self.bottom_left_m,
             "top_right": self.top_right_m,
+            **self.more_m,
         }
+
+    @property
+    def centre_heights_m(self) -> dict[str, float]:
+        """Get the height of each reflector's centre above its mark, along Z of trs."""
+        return {
+            name: self.sphere_radius_m + self.nest_offsets_m.get(name, self.nest_offset_m)
+            for name in self.points_m
+        }
+
+    @model_validator(mode="after")
+    def _names_are_known(self) -> "ReflectorsSpec":
+        own = {"top_left", "bottom_left", "top_right", "lamp"}
+        if taken := sorted(own.intersection(self.more_m)):
+            raise ValueError(f"more_m: {', '.join(taken)}: these names have a meaning already")
+        if unknown := sorted(set(self.nest_offsets_m) - set(self.points_m)):
+            raise ValueError(f"nest_offsets_m: no reflector {', '.join(unknown)}")
+        return self
 
 
 class MountingSpec(Model):
@@ -71,14 +100,15 @@ class MountingSpec(Model):
             raise ValueError("rail_range_m: the first value must be below the second")
         return self
 
-    def robot_target(self, trs_from_cam: RigidTransform) -> RobotTarget:
-        """Give where the robot must stand so that the camera nominally has this pose."""
-        rail_from_flange = (
-            self.trs_from_rail.pose.inv() * trs_from_cam * self.flange_from_cam.pose.inv()
+    @property
+    def nominal(self) -> Mounting:
+        """Get the mounting as it is meant to be."""
+        return Mounting(
+            trs_from_rail=self.trs_from_rail.pose,
+            rail_axis=np.array([1.0, 0.0, 0.0]),
+            flange_from_cam=self.flange_from_cam.pose,
+            arm_forward_m=self.arm_forward_m,
         )
-        rail_m = float(rail_from_flange.translation[0]) - self.arm_forward_m
-        base_from_rail = RigidTransform.from_translation([-rail_m, 0.0, 0.0])
-        return RobotTarget(rail_m=rail_m, base_from_flange=base_from_rail * rail_from_flange)
 
 
 class CameraSpec(Model):
@@ -126,31 +156,55 @@ class CameraSpec(Model):
         )
 
 
-class BoardSpec(Model):
-    """A ChArUco board, and where it is put for calibration."""
+PatternKind: TypeAlias = Literal["charuco", "charuco_legacy", "chessboard"]
 
+
+class PatternSpec(Model):
+    """What is printed on a calibration board."""
+
+    kind: PatternKind = "charuco"
+    """``charuco_legacy`` is the layout OpenCV had before 4.6; it differs for even ``rows``."""
     columns: Annotated[int, Field(ge=3)]
     """Number of squares along x of board."""
     rows: Annotated[int, Field(ge=3)]
     """Number of squares along y of board."""
     square_m: Positive
-    marker_m: Positive
+    marker_m: Positive | None = None
+    """Side of the markers of a ChArUco board; a chessboard has none."""
     dictionary: Literal["DICT_4X4_250", "DICT_5X5_250", "DICT_5X5_1000"] = "DICT_5X5_250"
+
+    @model_validator(mode="after")
+    def _marker_fits_its_square(self) -> "PatternSpec":
+        if self.kind == "chessboard" and self.marker_m is not None:
+            raise ValueError("marker_m: a chessboard has no markers")
+        if self.kind != "chessboard" and self.marker_m is None:
+            raise ValueError("marker_m: missing, a ChArUco board has markers")
+        if self.marker_m is not None and self.marker_m >= self.square_m:
+            raise ValueError("marker_m must be smaller than square_m")
+        return self
+
+
+class BoardSpec(PatternSpec):
+    """A calibration board, and where it is put."""
+
     trs_from_board: PoseSpec
     """Board frame as OpenCV has it: origin at the top-left corner of the board, x to the right,
     y down, z into the board."""
 
-    @model_validator(mode="after")
-    def _marker_fits_its_square(self) -> "BoardSpec":
-        if self.marker_m >= self.square_m:
-            raise ValueError("marker_m must be smaller than square_m")
-        return self
+    @property
+    def pattern(self) -> PatternSpec:
+        """Get what is printed on it."""
+        return PatternSpec.model_validate(self.model_dump(exclude={"trs_from_board"}))
 
 
 class LampSpec(Model):
     """Where the lamp is meant to be."""
 
     p_trs_m: Vector
+    light_from_reflector_m: Vector = (0.0, 0.0, 0.0)
+    """From the reflector on the lamp's housing to the centre of the light, in trs."""
+    light_sigma_m: NotNegative = 0.0
+    """How well that is known: one sigma of each coordinate."""
 
 
 class LaboratorySpec(Model):

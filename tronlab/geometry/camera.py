@@ -1,4 +1,4 @@
-"""The pinhole camera with Brown-Conrady distortion.
+"""The pinhole camera with Brown-Conrady or rational distortion.
 
 Pixel coordinates ``uv`` have their origin at the centre of the top-left pixel; u grows to the
 right, v down. A ray is given by its normalised image coordinates (x, y): the direction (x, y, 1) in
@@ -15,6 +15,8 @@ from numpy.typing import ArrayLike
 from tronlab.errors import CalibrationError
 from tronlab.geometry.poses import FloatArray
 
+DISTORTION_NAMES = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+N_DISTORTION = len(DISTORTION_NAMES)
 _NEWTON_STEPS = 20
 _NEWTON_TOLERANCE = 1e-12
 
@@ -35,8 +37,18 @@ class CameraModel:
     """Principal point, u."""
     cy_px: float
     """Principal point, v."""
-    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
-    """k1, k2, p1, p2, k3 in OpenCV's order (Brown, Photogrammetric Engineering 32, 1966)."""
+    distortion: tuple[float, ...] = ()
+    """k1, k2, p1, p2, k3, k4, k5, k6 in OpenCV's order (Brown, Photogrammetric Engineering 32,
+    1966; k4 to k6 divide). Coefficients left out at the end are 0; there are always eight."""
+
+    def __post_init__(self) -> None:
+        if len(self.distortion) > N_DISTORTION:
+            raise CalibrationError(
+                f"camera model: {len(self.distortion)} distortion coefficients, at most"
+                f" {N_DISTORTION} are known: {', '.join(DISTORTION_NAMES)}"
+            )
+        padding = (0.0,) * (N_DISTORTION - len(self.distortion))
+        object.__setattr__(self, "distortion", (*self.distortion, *padding))
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> "CameraModel":
@@ -50,7 +62,6 @@ class CameraModel:
             wrong = ", ".join(sorted(names.symmetric_difference(values)))
             raise CalibrationError(f"camera model: missing or unknown: {wrong}")
         try:
-            k1, k2, p1, p2, k3 = (float(k) for k in values["distortion"])
             return cls(
                 width_px=int(values["width_px"]),
                 height_px=int(values["height_px"]),
@@ -58,7 +69,7 @@ class CameraModel:
                 fy_px=float(values["fy_px"]),
                 cx_px=float(values["cx_px"]),
                 cy_px=float(values["cy_px"]),
-                distortion=(k1, k2, p1, p2, k3),
+                distortion=tuple(float(k) for k in values["distortion"]),
             )
         except (TypeError, ValueError) as error:
             raise CalibrationError(f"camera model: {error}") from error
@@ -137,10 +148,10 @@ class CameraModel:
 
 def distort(xy: FloatArray, coefficients: tuple[float, ...]) -> FloatArray:
     """Give the distorted image coordinates, shape (..., 2), of rays (x, y), shape (..., 2)."""
-    k1, k2, p1, p2, k3 = coefficients
+    p1, p2 = coefficients[2:4]
     x, y = xy[..., 0], xy[..., 1]
     r2 = x * x + y * y
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    radial, _ = _radial(r2, coefficients)
     return np.stack(
         [
             x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
@@ -148,6 +159,15 @@ def distort(xy: FloatArray, coefficients: tuple[float, ...]) -> FloatArray:
         ],
         axis=-1,
     )
+
+
+def _radial(r2: FloatArray, coefficients: tuple[float, ...]) -> tuple[FloatArray, FloatArray]:
+    """Give the radial factor and its derivative by r^2."""
+    k1, k2, _, _, k3, k4, k5, k6 = coefficients
+    above = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    below = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6))
+    by_r2 = k1 + r2 * (2 * k2 + 3 * r2 * k3) - above / below * (k4 + r2 * (2 * k5 + 3 * r2 * k6))
+    return above / below, by_r2 / below
 
 
 def _undistort(target: FloatArray, coefficients: tuple[float, ...]) -> FloatArray:
@@ -164,17 +184,16 @@ def _undistort(target: FloatArray, coefficients: tuple[float, ...]) -> FloatArra
         xy = xy - _solve_2x2(jacobian, residual)
     raise CalibrationError(
         f"camera model: distortion {coefficients} cannot be inverted over the whole image;"
-        " check the coefficients and their order (k1, k2, p1, p2, k3)"
+        " check the coefficients and their order (k1, k2, p1, p2, k3, k4, k5, k6)"
     )
 
 
 def distortion_jacobian(xy: FloatArray, coefficients: tuple[float, ...]) -> FloatArray:
     """Give d(distorted)/d(x, y), shape (..., 2, 2)."""
-    k1, k2, p1, p2, k3 = coefficients
+    p1, p2 = coefficients[2:4]
     x, y = xy[..., 0], xy[..., 1]
-    r2 = x * x + y * y
-    radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    slope = 2.0 * (k1 + r2 * (2 * k2 + 3 * r2 * k3))
+    radial, by_r2 = _radial(x * x + y * y, coefficients)
+    slope = 2.0 * by_r2
     xx = radial + slope * x * x + 2 * p1 * y + 6 * p2 * x
     xy_ = slope * x * y + 2 * p1 * x + 2 * p2 * y
     yy = radial + slope * y * y + 6 * p1 * y + 2 * p2 * x

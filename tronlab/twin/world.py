@@ -249,7 +249,7 @@ def initial_state(setup: WorldSetup) -> WorldState:
 def _parked(spec: LaboratorySpec) -> RobotTarget:
     """Give where the robot stands at first: low end of the rail, camera towards the model."""
     trs_from_cam = pose_along_boresight(np.zeros(3), boresight=[0, 0, -1], right=[0, 1, 0])
-    turned = spec.mounting.robot_target(trs_from_cam).base_from_flange.rotation
+    turned = spec.mounting.nominal.robot_target(trs_from_cam).base_from_flange.rotation
     place = [spec.mounting.arm_forward_m, 0.0, _PARKED_HEIGHT_M]
     return RobotTarget(
         rail_m=spec.mounting.rail_range_m[0],

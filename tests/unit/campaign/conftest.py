@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from records import make_record, make_results
 from scipy.spatial.transform import RigidTransform
 
 from tronlab.calib.record import CalibrationRecord
@@ -169,22 +170,13 @@ def config() -> CampaignConfig:
 
 @pytest.fixture
 def calibration() -> CalibrationRecord:
-    return CalibrationRecord(
-        rig_name="fake",
-        created_utc="2026-01-01T00:00:00Z",
-        software={},
-        devices={},
+    results = make_results(
         camera=CAMERA,
-        camera_covariance=np.zeros((9, 9)),
-        trs_from_trk=RigidTransform.identity(),
-        trs_from_trk_covariance=np.zeros((6, 6)),
         tmac_from_cam=RigidTransform.from_matrix(np.diag([1.0, -1.0, -1.0, 1.0])),
-        tmac_from_cam_covariance=np.zeros((6, 6)),
-        p_lamp_trs_m=np.array([0.0, 0.0, 5.0]),
-        p_lamp_trs_covariance_m2=np.zeros((3, 3)),
-        statistics={},
-        inputs={},
+        sigma_rad=0.0,
+        sigma_m=0.0,
     )
+    return make_record(results, rig_name="fake")
 
 
 @pytest.fixture

@@ -34,7 +34,7 @@ def poses(n: int, *, noise: float = 0.0) -> list[RigidTransform]:
 
 
 def test_ids_count_from_1_and_targets_put_the_camera_there() -> None:
-    plan = make_plan(poses(3), mounting=MOUNTING)
+    plan = make_plan(poses(3), mounting=MOUNTING.nominal)
     assert [shot.shot_id for shot in plan.shots] == [1, 2, 3]
     for shot in plan.shots:
         base = RigidTransform.from_translation([shot.robot_target.rail_m, 0, 0])
@@ -50,7 +50,7 @@ def test_ids_count_from_1_and_targets_put_the_camera_there() -> None:
 
 
 def test_plan_cannot_be_changed() -> None:
-    plan = make_plan(poses(2), mounting=MOUNTING)
+    plan = make_plan(poses(2), mounting=MOUNTING.nominal)
     with pytest.raises(FrozenInstanceError):
         plan.shots = plan.shots[:1]  # pyright: ignore[reportAttributeAccessIssue]
     with pytest.raises(FrozenInstanceError):
@@ -60,16 +60,16 @@ def test_plan_cannot_be_changed() -> None:
 
 def test_empty_plan_and_duplicate_ids_are_refused() -> None:
     with pytest.raises(PlanError, match="the plan is empty"):
-        make_plan([], mounting=MOUNTING)
-    shot = make_plan(poses(1), mounting=MOUNTING).shots[0]
+        make_plan([], mounting=MOUNTING.nominal)
+    shot = make_plan(poses(1), mounting=MOUNTING.nominal).shots[0]
     with pytest.raises(PlanError, match=r"more than once: 1$"):
         Plan((shot, shot))
 
 
 def test_hash_is_the_same_for_the_same_plan_and_ignores_the_last_bits() -> None:
-    a = make_plan(poses(3), mounting=MOUNTING)
-    assert a.sha256 == make_plan(poses(3), mounting=MOUNTING).sha256
-    assert a.sha256 == make_plan(poses(3, noise=1e-15), mounting=MOUNTING).sha256
+    a = make_plan(poses(3), mounting=MOUNTING.nominal)
+    assert a.sha256 == make_plan(poses(3), mounting=MOUNTING.nominal).sha256
+    assert a.sha256 == make_plan(poses(3, noise=1e-15), mounting=MOUNTING.nominal).sha256
     assert len(a.sha256) == 64
 
 
@@ -86,7 +86,7 @@ def test_hash_of_a_known_plan_does_not_change() -> None:
 
 
 def test_hash_sees_every_part_of_a_shot() -> None:
-    shot = make_plan(poses(1), mounting=MOUNTING).shots[0]
+    shot = make_plan(poses(1), mounting=MOUNTING.nominal).shots[0]
     moved = RigidTransform.from_translation([0, 0, 1e-6]) * shot.trs_from_cam_nominal
     target = shot.robot_target
     others = [
@@ -108,7 +108,7 @@ class ShortArm:
 
 
 def test_all_unreachable_shots_are_listed() -> None:
-    plan = make_plan(poses(4), mounting=MOUNTING)
+    plan = make_plan(poses(4), mounting=MOUNTING.nominal)
     with pytest.raises(PlanError) as caught:
         check_reach(plan, ShortArm())  # pyright: ignore[reportArgumentType]
     lines = str(caught.value).splitlines()
@@ -150,6 +150,6 @@ def test_shots_that_look_past_the_model_are_all_listed() -> None:
     looking = [
         pose_along_boresight([x, 2.0, 3.0], boresight=[0, 0, -1], right=[0, 1, 0]) for x in xs
     ]
-    plan = make_plan(looking, mounting=MOUNTING)
+    plan = make_plan(looking, mounting=MOUNTING.nominal)
     with pytest.raises(PlanError, match="2 of 4 shots look past the terrain model: 2, 4;"):
         check_terrain_in_view(plan, GroundUntil())

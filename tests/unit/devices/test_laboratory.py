@@ -29,7 +29,7 @@ CAMERA = {
 
 def test_the_target_puts_the_camera_where_it_was_asked():
     trs_from_cam = pose_along_boresight([1.1, 2.2, 3.0], boresight=[0, 0, -1], right=[0, 1, 0])
-    target = MOUNTING.robot_target(trs_from_cam)
+    target = MOUNTING.nominal.robot_target(trs_from_cam)
     reached = (
         MOUNTING.trs_from_rail.pose
         * RigidTransform.from_translation([target.rail_m, 0, 0])

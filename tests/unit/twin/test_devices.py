@@ -31,7 +31,7 @@ def assert_chi_square(whitened: np.ndarray) -> None:
 
 def targets(spec, look_at, *, n: int) -> list[RobotTarget]:
     """Give n targets that come and go along the rail."""
-    return [spec.mounting.robot_target(look_at(z_m=1.0 + 0.5 * (i % 2))) for i in range(n)]
+    return [spec.mounting.nominal.robot_target(look_at(z_m=1.0 + 0.5 * (i % 2))) for i in range(n)]
 
 
 # --- robot ---
@@ -39,7 +39,7 @@ def targets(spec, look_at, *, n: int) -> list[RobotTarget]:
 
 def test_robot_reads_what_was_commanded(bench, spec, look_at):
     b = bench()
-    target = spec.mounting.robot_target(look_at(z_m=2.0))
+    target = spec.mounting.nominal.robot_target(look_at(z_m=2.0))
     b.devices.robot.move(target, timeout_s=60.0)
     reading = b.devices.robot.read()
     assert reading.rail_m == target.rail_m
@@ -78,7 +78,7 @@ def test_rail_repeats_within_its_sigma_and_has_backlash_one_way(bench, spec, loo
 
 def test_a_rail_that_stands_keeps_its_error(bench, spec, look_at):
     b = bench(robot=NO_ARM_NOISE)
-    target = spec.mounting.robot_target(look_at(z_m=2.0))
+    target = spec.mounting.nominal.robot_target(look_at(z_m=2.0))
     b.devices.robot.move(target, timeout_s=60.0)
     before = b.world.truth.trs_from_flange.as_matrix()
     b.devices.robot.move(target, timeout_s=60.0)
@@ -87,7 +87,7 @@ def test_a_rail_that_stands_keeps_its_error(bench, spec, look_at):
 
 def test_move_out_of_reach_moves_nothing(bench, spec, look_at):
     b = bench()
-    far = spec.mounting.robot_target(look_at(z_m=8.0))
+    far = spec.mounting.nominal.robot_target(look_at(z_m=8.0))
     before = b.world.state.read()
     for call in (b.devices.robot.check, lambda t: b.devices.robot.move(t, timeout_s=60.0)):
         with pytest.raises(LimitError, match=r"robot: (check|move): rail position is -3\.0\d+ m"):
@@ -98,14 +98,14 @@ def test_move_out_of_reach_moves_nothing(bench, spec, look_at):
 def test_move_that_takes_too_long_is_a_timeout(bench, spec, look_at):
     b = bench()
     with pytest.raises(DeviceTimeoutError, match=r"robot: move: takes \d\.\d s, allowed 0\.5 s"):
-        b.devices.robot.move(spec.mounting.robot_target(look_at(z_m=1.0)), timeout_s=0.5)
+        b.devices.robot.move(spec.mounting.nominal.robot_target(look_at(z_m=1.0)), timeout_s=0.5)
 
 
 def test_moves_take_simulated_time(bench, spec, look_at):
     b = bench()
-    b.devices.robot.move(spec.mounting.robot_target(look_at(z_m=2.0)), timeout_s=60.0)
+    b.devices.robot.move(spec.mounting.nominal.robot_target(look_at(z_m=2.0)), timeout_s=60.0)
     before_s = b.world.clock.now_s
-    b.devices.robot.move(spec.mounting.robot_target(look_at(z_m=1.0)), timeout_s=60.0)
+    b.devices.robot.move(spec.mounting.nominal.robot_target(look_at(z_m=1.0)), timeout_s=60.0)
     speed = b.world.config.robot.rail_speed_m_per_s
     assert b.world.clock.now_s - before_s == pytest.approx(1.0 / speed)
 
@@ -130,7 +130,7 @@ def test_points_scatter_by_their_stated_covariance(bench):
 
 def test_poses_scatter_by_their_stated_covariance(bench, spec, look_at):
     b = bench()
-    b.devices.robot.move(spec.mounting.robot_target(look_at(z_m=2.0)), timeout_s=60.0)
+    b.devices.robot.move(spec.mounting.nominal.robot_target(look_at(z_m=2.0)), timeout_s=60.0)
     truth = b.world.truth
     trk_from_tmac = truth.laboratory.trk_from_trs * truth.trs_from_tmac
     readings = [b.devices.tracker.measure_pose(window_s=0.5) for _ in range(N_DRAWS)]
@@ -152,7 +152,7 @@ def test_measured_chain_is_the_true_camera_pose_within_noise(bench, spec, look_a
     whitened = []
     for i in range(60):
         b.devices.robot.move(
-            spec.mounting.robot_target(look_at(z_m=1.0 + 0.05 * i)), timeout_s=60.0
+            spec.mounting.nominal.robot_target(look_at(z_m=1.0 + 0.05 * i)), timeout_s=60.0
         )
         reading = b.devices.tracker.measure_pose(window_s=0.5)
         truth = (lab.trk_from_trs * b.world.truth.trs_from_cam).translation
@@ -270,7 +270,7 @@ def test_board_is_placed_by_eye_and_anew_each_time(bench, spec):
 
 def session(devices: Devices, spec, look_at) -> list[bytes]:
     """Do a bit of everything and give every number that came of it."""
-    devices.robot.move(spec.mounting.robot_target(look_at(z_m=2.0)), timeout_s=60.0)
+    devices.robot.move(spec.mounting.nominal.robot_target(look_at(z_m=2.0)), timeout_s=60.0)
     devices.operator.perform("place_board")
     point = devices.tracker.measure_point("top_left", window_s=0.5)
     pose = devices.tracker.measure_pose(window_s=0.5)
@@ -311,7 +311,7 @@ def test_one_device_does_not_disturb_the_noise_of_another(bench):
 
 
 def calls(devices: Devices, spec, look_at) -> list[tuple[str, Callable[[], object]]]:
-    target = spec.mounting.robot_target(look_at(z_m=2.0))
+    target = spec.mounting.nominal.robot_target(look_at(z_m=2.0))
     return [
         ("identify", devices.robot.identify),
         ("check", lambda: devices.robot.check(target)),
@@ -371,7 +371,7 @@ def test_scripted_faults_strike_their_call_and_the_next_succeeds(bench, spec, lo
             {"device": "camera", "call": "grab", "at": 1, "times": 2, "error": "timeout"},
         ]
     )
-    target = spec.mounting.robot_target(look_at(z_m=2.0))
+    target = spec.mounting.nominal.robot_target(look_at(z_m=2.0))
     before = b.world.state.read()
     with pytest.raises(DeviceFaultError, match="robot: move"):
         b.devices.robot.move(target, timeout_s=60.0)

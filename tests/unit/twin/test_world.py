@@ -18,7 +18,7 @@ EXACT_ROBOT = {
 
 
 def drive(devices: Devices, spec, trs_from_cam: RigidTransform) -> None:
-    devices.robot.move(spec.mounting.robot_target(trs_from_cam), timeout_s=60.0)
+    devices.robot.move(spec.mounting.nominal.robot_target(trs_from_cam), timeout_s=60.0)
 
 
 def test_camera_pose_is_the_chain_of_true_transforms(bench, spec, look_at):
@@ -146,7 +146,7 @@ def test_real_renderer_sees_a_lit_flat_model_on_black_cloth(spec, config, look_a
     config = config.model_copy(update={"surface": surface})
     world = World(WorldSetup(config, spec, lambda: flat))
     world.state.change(lamp_level=1.0)
-    target = spec.mounting.robot_target(look_at(z_m=3.5))
+    target = spec.mounting.nominal.robot_target(look_at(z_m=3.5))
     world.stand_robot(target, actual=target)
     image = world.radiance()
 
@@ -179,7 +179,9 @@ def test_twin_yaml_reaches_the_straight_line_and_what_calibration_needs(
 ):
     for tilts in ({"tilt_x_deg": tilt_deg}, {"tilt_y_deg": tilt_deg}):
         for moved in ({"x_m": 1.08 + lateral_m}, {"y_m": 2.08 + lateral_m}):
-            bench_robot.check(spec.mounting.robot_target(look_at(z_m=z_m, **moved, **tilts)))
+            bench_robot.check(
+                spec.mounting.nominal.robot_target(look_at(z_m=z_m, **moved, **tilts))
+            )
 
 
 @pytest.fixture(scope="module")
@@ -200,7 +202,8 @@ def test_twin_yaml_camera_is_nominally_upright_before_the_model(spec, look_at):
     expected = [[0, 0, -1], [0, -1, 0], [-1, 0, 0]]
     np.testing.assert_allclose(trs_from_rail, expected, atol=1e-12)
     base_from_cam = (
-        mounting.robot_target(look_at(z_m=2.0)).base_from_flange * mounting.flange_from_cam.pose
+        mounting.nominal.robot_target(look_at(z_m=2.0)).base_from_flange
+        * mounting.flange_from_cam.pose
     )
     assert 1.1 < base_from_cam.translation[2] < 1.25
     np.testing.assert_allclose(base_from_cam.rotation.apply([0, 0, 1]), [1, 0, 0], atol=1e-9)

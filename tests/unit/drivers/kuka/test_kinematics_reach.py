@@ -38,7 +38,7 @@ def parked(rig):
 def follow(poses, start, mounting):
     path, current = [], start
     for trs_from_cam in poses:
-        target = mounting.robot_target(trs_from_cam)
+        target = mounting.nominal.robot_target(trs_from_cam)
         current = axes_for(target.base_from_flange, current)
         np.testing.assert_allclose(
             forward(current).as_matrix(), target.base_from_flange.as_matrix(), atol=1e-9
@@ -76,7 +76,7 @@ def test_the_rails_of_all_targets_leave_room_to_be_approached(rig):
     laboratory = rig.config.laboratory
     campaign = load_campaign(CAMPAIGNS / "straight_line.yaml")
     poses = [*camera_poses(campaign.config.trajectory), *plan_stations(laboratory)]
-    rails = [laboratory.mounting.robot_target(pose).rail_m for pose in poses]
+    rails = [laboratory.mounting.nominal.robot_target(pose).rail_m for pose in poses]
     low, high = laboratory.mounting.rail_range_m
     assert low + 0.02 <= min(rails)
     assert max(rails) <= high
