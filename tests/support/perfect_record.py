@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 from records import make_record, make_results
+
 from tronlab.calib.record import IDENTIFIED_DEVICES
 from tronlab.campaign.provenance import device_identities
 from tronlab.campaign.rig import load_rig
