@@ -1,37 +1,50 @@
-"""Make the calibration record of the simulated laboratory anew.
+"""Calibrate the simulated laboratory, whole or one part of it.
 
 Run from the root of the repository; it replaces calibration/records/twin.json:
 
     python calibration/calibrate_twin.py
+    python calibration/calibrate_twin.py frame      # the tracker was moved: only this
 
-For a rig of your own, copy this file and change the first three lines.
+For a rig of your own, copy this file and change the first three lines. ``tronlab calibrate`` does
+the same, asks before each move, keeps the old record, and goes on after an interruption.
 """
 
 import sys
+from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 
-from tronlab.calib.wizard import CalibrationSettings, calibrate
+from tronlab.calib.record import CalibrationRecord
+from tronlab.calib.results import Results
+from tronlab.calib.wizard import ALL_PARTS, Bench, Settings, Unattended, calibrate
 from tronlab.campaign.live import open_live
-from tronlab.campaign.provenance import software_versions
+from tronlab.campaign.provenance import device_identities, software_versions
 from tronlab.campaign.rig import load_rig
 from tronlab.devices.registry import connected
 
 RIG = Path("campaigns/rigs/twin.yaml")
 RECORD = Path("calibration/records/twin.json")
-SETTINGS = CalibrationSettings()
+SETTINGS = Settings(n_stations=20, n_reflector_readings=8)
 
+parts = sys.argv[1:] or ALL_PARTS
 rig = load_rig(RIG)
+laboratory = rig.config.laboratory
 with (
     open_live(sys.stderr) as live,
-    connected(rig.open_devices(seed=0, session="calibration")) as devices,
+    connected(rig.open_devices(seed=0, session=f"calibration of {parts}")) as devices,
 ):
-    record = calibrate(
-        devices,
-        rig.config.laboratory,
+    identities = device_identities(devices)
+    draft = CalibrationRecord(
         rig_name=rig.name,
+        created_utc=f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
         software=software_versions(),
-        settings=SETTINGS,
-        progress=live,
+        devices={name: identities[name] for name in ("camera", "tracker", "tmac")},
+        results=Results(),
+        valid_days=rig.config.calibration.valid_days,
     )
+    if parts != ALL_PARTS:
+        draft = replace(draft, inputs=CalibrationRecord.load(RECORD).inputs)
+    bench = Bench(devices, laboratory, Unattended(live), laboratory.mounting.nominal, SETTINGS)
+    record = calibrate(parts, bench, draft)
 record.save(RECORD)
 print(RECORD)

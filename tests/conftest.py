@@ -8,16 +8,22 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from tronlab.dataset.records import Provenance, ReferenceView, ShotRecord, Truth
+from tronlab.dataset.records import DriftRecord, Provenance, ReferenceView, ShotRecord, Truth
 from tronlab.dataset.writer import DatasetWriter
-from tronlab.devices.readings import Frame, PoseReading, RobotReading, RoomReading
+from tronlab.devices.readings import (
+    Frame,
+    PointReading,
+    PoseReading,
+    RobotReading,
+    RoomReading,
+)
 from tronlab.geometry.camera import CameraModel
 from tronlab.geometry.poses import xyz_quat_from_pose
 
 TRS_FROM_TRK = RigidTransform.from_components([0.4, -1.0, 3.0], Rotation.from_rotvec([0.2, 2.9, 0]))
 TMAC_FROM_CAM = RigidTransform.from_components([0.1, 0.02, 0.05], Rotation.from_rotvec([0, 0.1, 1]))
 LOOKING_DOWN = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
-
+REFLECTORS = ("top_left", "bottom_left", "top_right")
 
 SMALL_CAMERA = CameraModel(
     width_px=64,
@@ -61,13 +67,22 @@ def make_view() -> Callable[[int], ReferenceView]:
 
 
 @pytest.fixture
+def make_drift() -> Callable[..., DriftRecord]:
+    """The factory ``make_drift(n_shots_before, is_within=True)`` of drift checks."""
+    return fake_drift
+
+
+@pytest.fixture
 def small_dataset(tmp_path: Path) -> Path:
-    """A complete and valid dataset of 5 shots (ids 0 to 4) and 2 reference views."""
+    """A complete and valid dataset of 5 shots (ids 0 to 4), 2 reference views, 2 drift checks."""
     path = tmp_path / "dataset.h5"
     with DatasetWriter(path, fake_provenance(5)) as writer:
         writer.add_references([fake_view(0), fake_view(1)])
+        writer.plan_drift_checks(REFLECTORS, 2)
+        writer.commit_drift(fake_drift(0))
         for i in range(5):
             writer.commit(fake_shot(i))
+        writer.commit_drift(fake_drift(5))
         writer.finish("complete")
     return path
 
@@ -158,6 +173,29 @@ def fake_view(i: int) -> ReferenceView:
     )
 
 
+def fake_drift(n_shots_before: int, *, is_within: bool = True) -> DriftRecord:
+    """A drift check after some shots, all values distinct."""
+    rng = np.random.default_rng([9, n_shots_before])
+    time_s = 1.7e9 + 10 * n_shots_before - 5.0
+    return DriftRecord(
+        n_shots_before=n_shots_before,
+        time_s=time_s,
+        readings={
+            name: PointReading(
+                target=name,
+                p_trk_m=rng.normal(0.0, 3.0, 3),
+                covariance_m2=np.diag(rng.uniform(1e-10, 1e-9, 3)),
+                time_s=time_s + k,
+            )
+            for k, name in enumerate(REFLECTORS)
+        },
+        shift=rng.normal(0.0, 1e-5, 6),
+        max_shift_m=1e-4 if is_within else 2e-3,
+        limit_m=5e-4,
+        is_within=is_within,
+    )
+
+
 def _covariance(rng: np.random.Generator, sigma_rad: float, sigma_m: float) -> np.ndarray:
     factor = np.diag([sigma_rad] * 3 + [sigma_m] * 3) @ rng.normal(size=(6, 6))
     return factor @ factor.T
@@ -184,7 +222,11 @@ def _calibration_json() -> str:
     return json.dumps(
         {
             "created_utc": "2026-11-20T10:00:00+00:00",
-            "trs_from_trk": {"xyz_m_quat_xyzw": xyz_quat_from_pose(TRS_FROM_TRK).tolist()},
-            "tmac_from_cam": {"xyz_m_quat_xyzw": xyz_quat_from_pose(TMAC_FROM_CAM).tolist()},
+            "frame": {
+                "trs_from_trk": {"xyz_m_quat_xyzw": xyz_quat_from_pose(TRS_FROM_TRK).tolist()}
+            },
+            "hand_eye": {
+                "tmac_from_cam": {"xyz_m_quat_xyzw": xyz_quat_from_pose(TMAC_FROM_CAM).tolist()}
+            },
         }
     )

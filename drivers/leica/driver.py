@@ -70,7 +70,7 @@ class LeicaTracker:
         self._controller = Controller(self._connection, options, device=name)
         self._beam = Beam(self._controller, options, device=name)
         self._aim = Aim(self._controller, self._beam, options, device=name)
-        self._interpreter = Interpreter(self._connection, device=name)
+        self._interpreter = Interpreter(self._connection, options.accuracy, device=name)
         self._lock = threading.Lock()
         self._notices: deque[Notice] = deque(maxlen=_N_NOTICES)
         self._is_streaming = False

@@ -21,6 +21,7 @@ from drivers.leica.results import (
     StreamedPose,
     decode_stream,
 )
+from tronlab.devices.accuracy import StatedAccuracy
 from tronlab.devices.readings import PointReading, PoseReading
 from tronlab.errors import TrackingLostError
 
@@ -33,8 +34,9 @@ _LAST_GOOD_POINT_STATUS: Final = 1
 class Interpreter:
     """Reads results; every method raises ProtocolError for one that makes no sense."""
 
-    def __init__(self, connection: Connection, *, device: str) -> None:
+    def __init__(self, connection: Connection, accuracy: StatedAccuracy, *, device: str) -> None:
         self._connection = connection
+        self._accuracy = accuracy
         self._device = device
 
     def point(self, measured: Measured, *, target: str) -> PointReading:
@@ -46,7 +48,8 @@ class Interpreter:
             self._expect(PacketType.POINT_EXTENDED, packet)
             result = self._connection.read(ExtendedPointResult, packet)
         return self._checked(
-            lambda: point_reading(result, target=target, time_s=measured.time_s), packet
+            lambda: point_reading(result, self._accuracy, target=target, time_s=measured.time_s),
+            packet,
         )
 
     def pose(self, measured: Measured) -> PoseReading:
@@ -58,7 +61,9 @@ class Interpreter:
         self._expect(PacketType.POSE, measured.packet)
         result = self._connection.read(PoseResult, measured.packet)
         self._check_rotation(result.rotation_status)
-        return self._checked(lambda: pose_reading(result, time_s=measured.time_s), measured.packet)
+        return self._checked(
+            lambda: pose_reading(result, self._accuracy, time_s=measured.time_s), measured.packet
+        )
 
     def poses(self, packet: Packet) -> list[StreamedPoseReading]:
         """Read the poses of one packet of a stream.
@@ -81,7 +86,9 @@ class Interpreter:
                 device=self._device,
             )
         self._check_rotation(result.rotation_status)
-        return self._checked(lambda: streamed_pose_reading(result, received_s=received_s), packet)
+        return self._checked(
+            lambda: streamed_pose_reading(result, self._accuracy, received_s=received_s), packet
+        )
 
     def _check_rotation(self, rotation_status: int) -> None:
         problem = rotation_problem(rotation_status)

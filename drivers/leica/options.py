@@ -4,6 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from tronlab.devices.accuracy import StatedAccuracy
 from tronlab.devices.laboratory import Vector
 from tronlab.yaml_models import Model
 
@@ -51,6 +52,9 @@ class TrackerOptions(Model):
     reflectors: dict[str, ReflectorOption]
     """Every reflector by the name that calibrations use: top_left, bottom_left, top_right, lamp."""
     tmac: TmacOption
+    accuracy: StatedAccuracy = StatedAccuracy()
+    """Of this tracker by its data sheet or certificate, as one sigma. The tracker itself reports
+    only how far measurements scatter within a reading; both make the covariance of a reading."""
     air: AirOption | None = None
     """Air to correct distances for; left out, the tracker's own weather station measures it."""
     initialize: Literal["auto", "never"] = "auto"

@@ -1,6 +1,8 @@
 """From results to readings: SI units, tronlab's order of covariances, sound values only.
 
-Units are those the driver sets: metres, radians, degrees Celsius, millibar, per cent.
+Units are those the driver sets: metres, radians, degrees Celsius, millibar, per cent. The
+covariance of a reading is that of its scatter, which the tracker reports, and of the stated
+accuracy, which it does not.
 """
 
 from dataclasses import astuple, dataclass
@@ -11,6 +13,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from drivers.leica.replies import Environment
 from drivers.leica.results import ExtendedPointResult, PointResult, PoseResult, StreamedPose
+from tronlab.devices.accuracy import StatedAccuracy
 from tronlab.devices.readings import AirReading, PointReading, PoseReading
 from tronlab.geometry.poses import FloatArray
 
@@ -61,22 +64,28 @@ def environment_of(air: AirReading) -> Environment:
 
 
 def point_reading(
-    result: PointResult | ExtendedPointResult, *, target: str, time_s: float
+    result: PointResult | ExtendedPointResult,
+    accuracy: StatedAccuracy,
+    *,
+    target: str,
+    time_s: float,
 ) -> PointReading:
     """Make the reading of a reflector.
 
     Raises:
         ValueError: A value is none that could be measured, or the covariance is not positive.
     """
+    p_trk_m = _sound("position", result.position)
+    scatter = _covariance("position", result.std, result.covariance)
     return PointReading(
         target=target,
-        p_trk_m=_sound("position", result.position),
-        covariance_m2=_covariance("position", result.std, result.covariance),
+        p_trk_m=p_trk_m,
+        covariance_m2=scatter + accuracy.point_covariance(p_trk_m),
         time_s=time_s,
     )
 
 
-def pose_reading(result: PoseResult, *, time_s: float) -> PoseReading:
+def pose_reading(result: PoseResult, accuracy: StatedAccuracy, *, time_s: float) -> PoseReading:
     """Make the reading of a T-MAC; its rotation status must have been found good.
 
     Raises:
@@ -85,13 +94,15 @@ def pose_reading(result: PoseResult, *, time_s: float) -> PoseReading:
     """
     return PoseReading(
         trk_from_tmac=_pose(result),
-        covariance=_pose_covariance(result),
+        covariance=_pose_covariance(result, accuracy),
         time_s=time_s,
         air=air_reading(result.environment),
     )
 
 
-def streamed_pose_reading(result: StreamedPose, *, received_s: float) -> StreamedPoseReading:
+def streamed_pose_reading(
+    result: StreamedPose, accuracy: StatedAccuracy, *, received_s: float
+) -> StreamedPoseReading:
     """Make the reading of one pose of a stream; its rotation status must have been found good.
 
     Raises:
@@ -99,7 +110,7 @@ def streamed_pose_reading(result: StreamedPose, *, received_s: float) -> Streame
     """
     return StreamedPoseReading(
         trk_from_tmac=_pose(result),
-        covariance=_pose_covariance(result),
+        covariance=_pose_covariance(result, accuracy),
         tracker_time_s=result.time_s + result.time_us * 1e-6,
         received_s=received_s,
     )
@@ -115,15 +126,15 @@ def _pose(result: PoseResult | StreamedPose) -> RigidTransform:
     )
 
 
-def _pose_covariance(result: PoseResult | StreamedPose) -> FloatArray:
+def _pose_covariance(result: PoseResult | StreamedPose, accuracy: StatedAccuracy) -> FloatArray:
     """Give the covariance (6, 6) of rotation vector and translation, independent of each other.
 
-    The errors of the angles X, Y, Z are taken as a small rotation about the tracker's axes: the
+    The scatter of the angles X, Y, Z are taken as a small rotation about the tracker's axes: the
     order in which the angles turn matters for the angles, but not for what is this small.
     """
-    covariance = np.zeros((6, 6))
-    covariance[:3, :3] = _covariance("rotation", result.angle_std, result.angle_covariance)
-    covariance[3:, 3:] = _covariance("position", result.std, result.covariance)
+    covariance = accuracy.pose_covariance(_sound("position", result.position))
+    covariance[:3, :3] += _covariance("rotation", result.angle_std, result.angle_covariance)
+    covariance[3:, 3:] += _covariance("position", result.std, result.covariance)
     return covariance
 
 

@@ -1,6 +1,7 @@
 """A campaign from its YAML to a dataset, on a small simulated laboratory."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -68,7 +69,12 @@ def test_complete_run_is_valid_and_its_truth_is_right(campaign_path: Path, tmp_p
             assert dataset.image(i)[dataset.mask(i)].mean() > 20
     assert ("shots", 5, 5) in live.progress
     assert ("reference views", 2, 2) in live.progress
-    assert live.texts[-1] == f"5 of 5 shots are in {path}"
+    assert live.texts[-2] == f"5 of 5 shots are in {path}"
+    assert re.fullmatch(
+        r"truth, one sigma: 0\.0\d\d mm and 0\.01\d\d deg at 1\.9\d m in the nearest shot,"
+        r" 0\.0\d\d mm and 0\.01\d\d deg at 2\.9\d m in the farthest",
+        live.texts[-1],
+    )
 
 
 def test_same_seed_gives_same_images_and_another_seed_others(
@@ -313,3 +319,7 @@ def test_killed_run_is_readable(long_campaign: Path, tmp_path: Path) -> None:
         assert n_shots >= 30
         assert list(dataset.shot_ids) == list(range(1, n_shots + 1))
         dataset.image(n_shots - 1)
+        n_checked = dataset.drift_checks[-1].n_shots_before
+        assert n_checked in {20 * (n_shots // 20), 20 * (n_shots // 20 - 1)}
+        expected = ("good",) * n_checked + ("unchecked",) * (n_shots - n_checked)
+        assert dataset.truth_states == expected

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from tronlab.calib.projection import N_INTRINSICS
+from tronlab.calib.camera.projection import N_INTRINSICS
 from tronlab.calib.record import CalibrationRecord
 from tronlab.calib.results import (
     CameraResult,
@@ -29,10 +29,13 @@ def make_results(
 ) -> Results:
     """Give results with covariances of one sigma each."""
     pose_covariance = np.diag([sigma_rad**2] * 3 + [sigma_m**2] * 3)
+    nowhere = RigidTransform.identity()
     return Results(
-        frame=FrameResult(trs_from_trk or RigidTransform.identity(), pose_covariance),
+        frame=FrameResult(nowhere if trs_from_trk is None else trs_from_trk, pose_covariance),
         camera=CameraResult(camera, sigma_intrinsics**2 * np.eye(N_INTRINSICS), "brown"),
-        hand_eye=HandEyeResult(tmac_from_cam or RigidTransform.identity(), pose_covariance),
+        hand_eye=HandEyeResult(
+            nowhere if tmac_from_cam is None else tmac_from_cam, pose_covariance
+        ),
         lamp=LampResult(np.array(p_lamp_trs_m), sigma_m**2 * np.eye(3)),
     )
 

@@ -18,6 +18,8 @@ from tronlab.twin.world import initial_state
 
 RIGS = Path(__file__).resolve().parents[2] / "campaigns" / "rigs"
 LOOPBACK = "127.0.0.1"
+HASTE = {"robot": ("--faster", "20"), "tracker": ("--initialize-s", "0.1")}
+"""Arguments of simulators that would take a real device's time."""
 REGION = {"left_px": 616, "top_px": 448, "width_px": 128, "height_px": 128}
 
 
@@ -61,7 +63,7 @@ def write_wire_rig(folder: Path, twin_path: Path, *, protocol: str = "eki") -> P
     )
     address = f"{LOOPBACK}:{_free_port(socket.SOCK_DGRAM)}"
     options["camera"].update(address=address, region=REGION)
-    options["room"]["plc"]["port"] = _free_port()
+    options["room"]["plc"].update(port=_free_port(), timeout_s=2.0)
     for part in ("dimmer", "supply", "air"):
         options["room"][part]["path"] = str(folder / "serial" / part)
     options["operator"]["world"] = f"{LOOPBACK}:{_free_port()}"
@@ -87,6 +89,7 @@ def running(
             rig_path=rig_path,
             world=server.address,
             seed=seed,
+            more_arguments=HASTE,
         )
         stack.callback(fleet.close)
         yield WireLaboratory(rig, twin_path, state, fleet)

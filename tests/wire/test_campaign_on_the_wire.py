@@ -116,7 +116,7 @@ def test_an_open_door_suspends_the_campaign(
     def open_door(n_done: int) -> None:
         if n_done == 1:
             wire.state.change(is_door_closed=False)
-            timers.append(later(8.0, lambda: wire.state.change(is_door_closed=True)))
+            timers.append(later(2.0, lambda: wire.state.change(is_door_closed=True)))
 
     timers: list[threading.Timer] = []
     live = Recorder(open_door)

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial.transform import RigidTransform
 
-from tronlab.calib.board import BoardView, corner_points
+from tronlab.calib.camera.board import BoardView
 from tronlab.devices.laboratory import LampSpec, MountingSpec, PatternSpec, ReflectorsSpec, Vector
 from tronlab.devices.readings import PointReading, PoseReading, RobotReading
 from tronlab.geometry.camera import CameraModel
@@ -26,6 +26,9 @@ Seven: TypeAlias = Annotated[tuple[float, ...], Field(min_length=7, max_length=7
 """A pose: x y z qx qy qz qw, metres."""
 Matrix: TypeAlias = tuple[tuple[float, ...], ...]
 Pixel: TypeAlias = tuple[float, float]
+Setup: TypeAlias = Literal["eye_in_hand", "eye_to_hand"]
+"""``eye_to_hand``: the board is on the hand; then what is called T-MAC is the robot's base seen
+from its hand, and the result is base_from_cam."""
 PartName: TypeAlias = Literal["frame", "intrinsics", "hand_eye", "lamp", "robot"]
 
 
@@ -36,15 +39,18 @@ class PointInput(Model):
     covariance_m2: Matrix
     """Shape (3, 3)."""
     time_s: float
+    readings_trk_m: tuple[Vector, ...] = ()
+    """The single readings, if this is their mean."""
 
     @classmethod
-    def of(cls, reading: PointReading) -> "PointInput":
-        """Keep a reading."""
+    def of(cls, reading: PointReading, singles: Sequence[PointReading] = ()) -> "PointInput":
+        """Keep a reading; ``singles`` are those it is the mean of."""
         return cls.model_validate(
             {
                 "p_trk_m": reading.p_trk_m.tolist(),
                 "covariance_m2": reading.covariance_m2.tolist(),
                 "time_s": reading.time_s,
+                "readings_trk_m": [single.p_trk_m.tolist() for single in singles],
             }
         )
 
@@ -123,10 +129,13 @@ class ViewInput(Model):
         )
 
     def view(self, pattern: PatternSpec) -> BoardView:
-        """Give the view of a board with that pattern."""
-        ids = np.array(self.corner_ids, dtype=np.int64)
+        """Give the view of a board with that pattern.
+
+        Raises:
+            CalibrationError: The board has no corner of such a number.
+        """
         uv_px = np.array(self.uv_px, dtype=np.float64).reshape(-1, 2)
-        return BoardView(ids, corner_points(pattern)[ids], uv_px)
+        return BoardView.of(np.array(self.corner_ids, dtype=np.int64), uv_px, pattern)
 
 
 class StationInput(Model):
@@ -185,7 +194,12 @@ class StationsInput(Model):
     pattern: PatternSpec
     nominal: CameraValues
     stations: tuple[StationInput, ...]
+    is_camera_known: bool = False
+    """Whether ``nominal`` is a calibrated camera, to be taken as it is."""
+    setup: Setup = "eye_in_hand"
     skipped: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    """What was assumed, one line each."""
 
 
 class PosePairInput(Model):
@@ -204,9 +218,7 @@ class PosePairsInput(Model):
     kind: Literal["pose_pairs"] = "pose_pairs"
     measured_utc: str
     pairs: tuple[PosePairInput, ...]
-    setup: Literal["eye_in_hand", "eye_to_hand"] = "eye_in_hand"
-    """``eye_to_hand``: the board is on the hand; then what is called T-MAC is the robot's base seen
-    from its hand, and the result is base_from_cam."""
+    setup: Setup = "eye_in_hand"
     files_sha256: Annotated[dict[str, str], Field(default_factory=dict)]
     """Hash of each file by name."""
     notes: tuple[str, ...] = ()

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
-from tronlab.calib.projection import DistortionModel
+from tronlab.calib.camera.projection import DistortionModel
 from tronlab.geometry.camera import CameraModel
 from tronlab.geometry.poses import FloatArray
 

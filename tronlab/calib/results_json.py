@@ -5,7 +5,12 @@ from typing import Any, TypeVar, cast
 
 from scipy.spatial.transform import RigidTransform
 
-from tronlab.calib.projection import DISTORTION_MODELS, INTRINSICS, N_INTRINSICS, DistortionModel
+from tronlab.calib.camera.projection import (
+    DISTORTION_MODELS,
+    INTRINSICS,
+    N_INTRINSICS,
+    DistortionModel,
+)
 from tronlab.calib.record_json import Fields
 from tronlab.calib.results import (
     CameraResult,

@@ -4,9 +4,11 @@ Images from stations and images alone see one camera, and if the board is the sa
 they are solved together, so that each result rests on all there is.
 """
 
-from tronlab.calib.bundle import Station
-from tronlab.calib.frame import solve_frame
-from tronlab.calib.hand_eye import solve_hand_eye
+from tronlab.calib.camera.intrinsics import IntrinsicsSolution, solve_intrinsics
+from tronlab.calib.camera.known_camera import known_camera
+from tronlab.calib.hand_eye.bundle import Station
+from tronlab.calib.hand_eye.pose_pairs import solve_pose_pairs
+from tronlab.calib.hand_eye.solution import solve_hand_eye
 from tronlab.calib.inputs import (
     Inputs,
     IntrinsicsInput,
@@ -17,9 +19,8 @@ from tronlab.calib.inputs import (
     point_readings,
     views_of,
 )
-from tronlab.calib.intrinsics import IntrinsicsSolution, solve_intrinsics
-from tronlab.calib.lamp import solve_lamp
-from tronlab.calib.pose_pairs import solve_pose_pairs
+from tronlab.calib.reflectors.frame import solve_frame
+from tronlab.calib.reflectors.lamp import solve_lamp
 from tronlab.calib.results import (
     CameraResult,
     FrameResult,
@@ -28,7 +29,7 @@ from tronlab.calib.results import (
     Results,
     RobotResult,
 )
-from tronlab.calib.robot import solve_robot
+from tronlab.calib.robot.solution import solve_robot
 
 
 def solve(inputs: Inputs) -> Results:
@@ -89,8 +90,13 @@ def _from_stations(
     free_views = ()
     if intrinsics is not None and intrinsics.pattern == pattern:
         free_views = views_of(intrinsics.views, pattern)
-    camera = solve_intrinsics(
-        [*(station.view for station in stations), *free_views], measured.nominal.model, pattern
+    views = [*(station.view for station in stations), *free_views]
+    solve_camera = known_camera if measured.is_camera_known else solve_intrinsics
+    solution = solve_hand_eye(
+        stations,
+        solve_camera(views, measured.nominal.model, pattern),
+        pattern,
+        free_views=free_views,
+        is_camera_free=not measured.is_camera_known,
     )
-    solution = solve_hand_eye(stations, camera, pattern, free_views=free_views)
     return solution.camera, solution.hand_eye

@@ -83,6 +83,22 @@ class TrackerConfig(Model):
     """Averaging time of the measurement that becomes the ground truth."""
 
 
+class DriftConfig(Model):
+    """How it is watched whether tracker, model or reflectors move while the campaign runs."""
+
+    every_n_shots: Annotated[int, Field(ge=1)] | None = 20
+    """The reflectors are measured anew after so many shots; null: only at start and end."""
+    limit_m: Annotated[float, Field(gt=0)] = 6e-4
+    """How far the model may seem to have moved, where it seems so most. With three reflectors 3 to
+    7 m from the tracker, noise alone makes 0.12 mm of it in the median and 0.3 mm once in a
+    hundred times: less than 0.6 mm would be a false alarm now and then."""
+    window_s: Seconds = 1.0
+    """Averaging time of each reflector."""
+    on_drift: Literal["stop", "continue"] = "stop"
+    """What happens beyond the limit; shots since the last good check count as suspect either way.
+    At the start a run refuses to begin unless told by ``--accept-calibration``."""
+
+
 class RobotConfig(Model):
     """How the robot is driven."""
 
@@ -138,6 +154,8 @@ class CampaignConfig(Model):
     """When the camera counts as standing still."""
     tracker: TrackerConfig = TrackerConfig()
     """How the ground truth is measured."""
+    drift: DriftConfig | None = DriftConfig()
+    """How it is watched whether something moves; null: not at all, no shot is vouched for."""
     robot: RobotConfig = RobotConfig()
     """How the robot is driven."""
     room: RoomConfig = RoomConfig()

@@ -2,15 +2,15 @@
 
 Each step of a shot blocks; here it runs in a worker thread and its end is a Status. Images never
 travel in documents: an event holds the shot's id, its attempt and small numbers, and the record
-waits in a mailbox under that id until the writer, an ordinary blocking subscriber, takes it.
+waits in a mailbox under that id until the writer, an ordinary blocking subscriber, takes it. Drift
+checks go the same way, between shots.
 """
 
 import logging
 import threading
-import time
 from collections.abc import Callable, Generator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import bluesky.plan_stubs as bps
@@ -18,19 +18,18 @@ import bluesky.preprocessors as bpp
 from bluesky import RunEngine
 from bluesky.utils import DuringTask, FailedStatus, Msg
 
+from tronlab.campaign.drift import DriftChecks
 from tronlab.campaign.plan import Plan, Shot
 from tronlab.campaign.policy import MAX_ATTEMPTS, PAUSES_S, Remedy, Setbacks, remedy_for
 from tronlab.campaign.shot import ShotTaker
+from tronlab.campaign.steps import Measurement, Mover, Numbers, Worker, deed
 from tronlab.campaign.stop import RunStoppedError, StopRequest
-from tronlab.dataset.records import ShotRecord
+from tronlab.dataset.records import DriftRecord, ShotRecord
 from tronlab.errors import DeviceError
 
-_WORKER_PATIENCE_S = 5.0
 _SAFETY_LOOK_S = 0.5
 _LOOK_UP_S = 0.1
 
-Numbers: TypeAlias = Mapping[str, float | int]
-Step: TypeAlias = Callable[[], Numbers]
 Messages: TypeAlias = Generator[Msg, Any, None]
 
 # The engine logs a traceback for every plan that ends early; whoever called run_shots gets the
@@ -40,16 +39,19 @@ logging.getLogger("bluesky").addHandler(logging.NullHandler())
 
 @dataclass(frozen=True)
 class RunListener:
-    """Who is told what happens; the calls come from the engine's thread."""
+    """Who is told what happens; the calls come from the engine's thread.
+
+    A task is a shot or a drift check, by the name it has in messages.
+    """
 
     on_shot: Callable[[ShotRecord], None] = lambda record: None
     """A shot was committed."""
-    on_retry: Callable[[Shot, int, Exception], None] = lambda shot, attempt, error: None
-    """An attempt failed and another follows: shot, the attempt that failed, its error."""
-    on_wait: Callable[[Shot, Exception], None] = lambda shot, error: None
-    """The cell is not safe: the run waits before this shot."""
-    on_resume: Callable[[Shot], None] = lambda shot: None
-    """It is safe again, and this shot was taken."""
+    on_retry: Callable[[str, int, Exception], None] = lambda task, attempt, error: None
+    """An attempt failed and another follows: task, the attempt that failed, its error."""
+    on_wait: Callable[[str, Exception], None] = lambda task, error: None
+    """The cell is not safe: the run waits before this task."""
+    on_resume: Callable[[str], None] = lambda task: None
+    """It is safe again, and this task was done."""
 
 
 def run_shots(
@@ -57,6 +59,7 @@ def run_shots(
     taker: ShotTaker,
     *,
     commit: Callable[[ShotRecord], None],
+    drift: DriftChecks | None = None,
     stop: StopRequest | None = None,
     listener: RunListener | None = None,
 ) -> None:
@@ -64,8 +67,9 @@ def run_shots(
 
     Args:
         plan: What to take.
-        taker: Does the steps of a shot.
+        taker: Does the steps of a shot, and of a drift check.
         commit: Stores a record; whatever it raises ends the run.
+        drift: When to check for drift; by default never.
         stop: Where to look for a request to stop.
         listener: Who is told.
 
@@ -74,8 +78,7 @@ def run_shots(
         DeviceError: A device failed, and ``policy`` knows no remedy or none has helped.
     """
     stop = stop or StopRequest()
-    run = _Run(taker, commit=commit, stop=stop, listener=listener or RunListener())
-    stop.on_at_once(run.fail_pending)
+    run = _Run(taker, commit=commit, drift=drift, stop=stop, listener=listener or RunListener())
     with _engine() as engine:
         engine.subscribe(run.take_document)
         try:
@@ -83,7 +86,7 @@ def run_shots(
         except FailedStatus as error:
             raise (error.__cause__ or error) from None
         finally:
-            run.join_worker()
+            run.worker.join()
 
 
 @contextmanager
@@ -110,228 +113,121 @@ class _WakefulWait(DuringTask):
             pass
 
 
-class _Status:
-    """The end of a step in a worker thread, in bluesky's form."""
-
-    def __init__(self, what: str) -> None:
-        self._what = what
-        self._lock = threading.Lock()
-        self._done = threading.Event()
-        self._error: BaseException | None = None
-        self._callbacks: list[Callable[[_Status], None]] = []
-
-    def __repr__(self) -> str:
-        """Say which step it is and how it went: bluesky puts this into the stop document."""
-        if not self.done:
-            return f"{self._what}: pending"
-        return f"{self._what}: {self._error!r}" if self._error else f"{self._what}: done"
-
-    def finish(self, error: BaseException | None = None) -> None:
-        """Mark the step as done; only the first call counts."""
-        with self._lock:
-            if self._done.is_set():
-                return
-            self._error = error
-            self._done.set()
-        for callback in self._callbacks:
-            callback(self)
-
-    def add_callback(self, callback: Callable[["_Status"], None]) -> None:
-        with self._lock:
-            if not self._done.is_set():
-                self._callbacks.append(callback)
-                return
-        callback(self)
-
-    def exception(self, timeout: float | None = 0.0) -> BaseException | None:
-        return self._error if self._done.wait(timeout) else None
-
-    @property
-    def done(self) -> bool:
-        return self._done.is_set()
-
-    @property
-    def success(self) -> bool:
-        return self.done and self._error is None
-
-
 class _Run:
-    """What the steps of one run share."""
+    """What the tasks of one run share."""
 
     def __init__(
         self,
         taker: ShotTaker,
         *,
         commit: Callable[[ShotRecord], None],
+        drift: DriftChecks | None,
         stop: StopRequest,
         listener: RunListener,
     ) -> None:
         self.taker = taker
+        self.drift = drift
         self.stop = stop
         self.listener = listener
-        self.mailbox: dict[tuple[int, int], ShotRecord] = {}
+        self.worker = Worker(stop)
+        self.shots: dict[tuple[int, int], ShotRecord] = {}
+        """The mailbox: by id and attempt."""
+        self.checks: dict[int, DriftRecord] = {}
+        """The mailbox of drift checks: by the number of shots before."""
+        self.n_at_last_check = 0
+        """A check before the first shot is made before the engine starts."""
         self._commit = commit
         self._committed: set[int] = set()
-        self._pending: _Status | None = None
-        self._worker: threading.Thread | None = None
 
-    def in_thread(self, what: str, work: Callable[[], object]) -> _Status:
-        """Start a step; its Status is done when the step is, or when the run must stop at once."""
-        status = _Status(what)
-
-        def run() -> None:
-            try:
-                work()
-            except BaseException as error:  # the Status carries it to the engine
-                status.finish(error)
-            else:
-                status.finish()
-
-        self._pending = status
-        self._worker = threading.Thread(target=run, name=f"tronlab {what}", daemon=True)
-        self._worker.start()
-        if self.stop.is_at_once:  # asked for while the step was being started
-            self.fail_pending()
-        return status
-
-    def fail_pending(self) -> None:
-        """Wait no longer for the step in hand."""
-        if self._pending is not None:
-            self._pending.finish(RunStoppedError())
-
-    def join_worker(self) -> None:
-        """Let a step that was not waited for come to its end, before its device is closed."""
-        if self._worker is not None:
-            self._worker.join(timeout=_WORKER_PATIENCE_S)
+    @property
+    def n_committed(self) -> int:
+        """Get the number of shots that are stored."""
+        return len(self._committed)
 
     def take_document(self, name: str, document: Mapping[str, Any]) -> None:
-        """Commit the record an event speaks of; a replayed event finds its shot committed."""
+        """Commit what an event speaks of."""
         if name != "event":
             return
-        shot_id, attempt = document["data"]["shot_id"], document["data"]["attempt"]
-        record = self.mailbox.pop((shot_id, attempt))
-        if shot_id in self._committed:
+        data = document["data"]
+        if "shot_id" in data:
+            self._take_shot(self.shots.pop((data["shot_id"], data["attempt"])))
+        else:
+            self._take_check(self.checks.pop(data["n_shots_before"]))
+
+    def _take_shot(self, record: ShotRecord) -> None:
+        """Commit a shot; a replayed event finds it committed."""
+        if record.shot_id in self._committed:
             return
         self._commit(record)
-        self._committed.add(shot_id)
+        self._committed.add(record.shot_id)
         self.listener.on_shot(record)
 
-
-@dataclass(eq=False)  # bluesky keeps its devices in sets
-class _Mover:
-    """The robot as bluesky moves it: ``set`` begins a shot and drives to its target."""
-
-    run: _Run
-    name: str = "robot"
-    parent: None = None
-    _is_moving: bool = False
-
-    def set(self, shot_and_attempt: tuple[Shot, int]) -> _Status:
-        """Begin the shot and move; begun here so that a replay of messages begins it again."""
-        shot, attempt = shot_and_attempt
-        self.run.taker.begin(shot, attempt)
-        self._is_moving = True
-        return self.run.in_thread(f"move to shot {shot.shot_id}", self._move)
-
-    def stop(self, *, success: bool = True) -> None:
-        """Stop the robot, if it moves: bluesky calls this at the end of every run."""
-        if self._is_moving:
-            self.run.taker.devices.robot.stop()
-
-    def _move(self) -> None:
-        self.run.taker.move()
-        self._is_moving = False
+    def _take_check(self, check: DriftRecord) -> None:
+        """Commit a drift check; a replayed event finds it committed."""
+        if self.drift is None or check.n_shots_before == self.n_at_last_check:
+            return
+        self.n_at_last_check = check.n_shots_before
+        self.drift.commit(check)
 
 
-@dataclass(eq=False)  # bluesky keeps its devices in sets
-class _Measurement:
-    """A step of a shot as bluesky triggers it; ``read`` gives the numbers it left."""
+@dataclass(frozen=True)
+class _Task:
+    """What is tried until it is done."""
 
     name: str
-    run: _Run
-    step: Step
-    parent: None = None
-    _numbers: Numbers = field(default_factory=dict[str, float | int])
-    _time_s: float = 0.0
-
-    def trigger(self) -> _Status:
-        return self.run.in_thread(self.name, self._measure)
-
-    def read(self) -> dict[str, Any]:
-        return {
-            key: {"value": value, "timestamp": self._time_s} for key, value in self._numbers.items()
-        }
-
-    def describe(self) -> dict[str, Any]:
-        return {
-            key: {
-                "source": f"tronlab:{self.name}",
-                "dtype": "integer" if isinstance(value, int) else "number",
-                "shape": [],
-            }
-            for key, value in self._numbers.items()
-        }
-
-    def read_configuration(self) -> dict[str, Any]:
-        return {}
-
-    def describe_configuration(self) -> dict[str, Any]:
-        return {}
-
-    def _measure(self) -> None:
-        self._numbers = self.step()
-        self._time_s = time.time()
-
-
-def _campaign(plan: Plan, run: _Run) -> Messages:
-    taker = run.taker
-    crew = _Crew(
-        run=run,
-        mover=_Mover(run),
-        guard=_deed("room", run, taker.check_room),
-        steps=(
-            _Measurement("settle", run, taker.settle),
-            _Measurement("tracker", run, taker.measure),
-            _Measurement("camera", run, taker.grab),
-            _Measurement("confirm", run, taker.confirm),
-            _Measurement("encoders", run, taker.read),
-            _Measurement("record", run, lambda: _put_into_mailbox(run)),
-        ),
-    )
-
-    @bpp.run_decorator(md={"plan_sha256": plan.sha256, "n_shots": len(plan.shots)})
-    def shots() -> Messages:
-        for shot in plan.shots:
-            yield from _shot_until_taken(shot, crew)
-
-    yield from shots()
+    begin: Callable[[int], None]
+    """Forgets what was before; is given the number of the attempt."""
+    attempt: Callable[[int], Messages]
 
 
 @dataclass(frozen=True)
 class _Crew:
-    """Who takes the shots of a run."""
+    """Who does the tasks of a run."""
 
     run: _Run
-    mover: _Mover
-    guard: _Measurement
+    mover: Mover
+    guard: Measurement
     """Looks whether the room is safe."""
-    steps: tuple[_Measurement, ...]
-    """After the move, in this order."""
+    steps: tuple[Measurement, ...]
+    """Of a shot after the move, in this order."""
+    watch: Measurement
+    """Checks for drift."""
 
 
-def _deed(name: str, run: _Run, action: Callable[[], None]) -> _Measurement:
-    """Make a step that leaves no numbers."""
+def _campaign(plan: Plan, run: _Run) -> Messages:
+    taker, worker = run.taker, run.worker
+    crew = _Crew(
+        run=run,
+        mover=Mover(worker, taker),
+        guard=deed("room", worker, taker.check_room),
+        steps=(
+            Measurement("settle", worker, taker.settle),
+            Measurement("tracker", worker, taker.measure),
+            Measurement("camera", worker, taker.grab),
+            Measurement("confirm", worker, taker.confirm),
+            Measurement("encoders", worker, taker.read),
+            Measurement("record", worker, lambda: _post_shot(run)),
+        ),
+        watch=Measurement("reflectors", worker, lambda: _post_check(run)),
+    )
 
-    def step() -> Numbers:
-        action()
-        return {}
+    @bpp.run_decorator(md={"plan_sha256": plan.sha256, "n_shots": len(plan.shots)})
+    def tasks() -> Messages:
+        try:
+            for shot in plan.shots:
+                yield from _until_done(_shot_task(shot, crew), crew)
+                if _is_check_due(run, n_planned=len(plan.shots)):
+                    yield from _until_done(_check_task(crew), crew)
+        except RunStoppedError:
+            yield from _last_check(crew)
+            raise
 
-    return _Measurement(name, run, step)
+    yield from tasks()
 
 
-def _put_into_mailbox(run: _Run) -> Numbers:
+def _post_shot(run: _Run) -> Numbers:
     record = run.taker.assemble()
-    run.mailbox[record.shot_id, record.attempt] = record
+    run.shots[record.shot_id, record.attempt] = record
     return {
         "shot_id": record.shot_id,
         "attempt": record.attempt,
@@ -340,31 +236,74 @@ def _put_into_mailbox(run: _Run) -> Numbers:
     }
 
 
-def _shot_until_taken(shot: Shot, crew: _Crew) -> Messages:
-    """Take a shot, and do about its errors what the policy says."""
+def _post_check(run: _Run) -> Numbers:
+    check = run.taker.check_drift(run.n_committed)
+    run.checks[check.n_shots_before] = check
+    return {"n_shots_before": check.n_shots_before, "max_shift_m": check.max_shift_m}
+
+
+def _is_check_due(run: _Run, *, n_planned: int) -> bool:
+    if run.drift is None:
+        return False
+    every = run.drift.every_n_shots
+    return run.n_committed == n_planned or (every is not None and run.n_committed % every == 0)
+
+
+def _last_check(crew: _Crew) -> Messages:
+    """Check once more before a run that was stopped ends: else its last shots stay unchecked.
+
+    Nobody waits for a second try, and whoever asks for a stop at once not even for the first.
+    """
+    run = crew.run
+    if run.drift is None or run.stop.is_at_once or run.n_committed == run.n_at_last_check:
+        return
+    run.taker.begin_check(run.n_committed, 1)
+    with suppress(FailedStatus):
+        yield from _check(crew)
+
+
+def _shot_task(shot: Shot, crew: _Crew) -> _Task:
+    return _Task(
+        name=f"shot {shot.shot_id}",
+        begin=lambda attempt: crew.run.taker.begin(shot, attempt),
+        attempt=lambda attempt: _shot(shot, attempt, crew),
+    )
+
+
+def _check_task(crew: _Crew) -> _Task:
+    n_before = crew.run.n_committed
+    return _Task(
+        name=f"drift check after {n_before} shots",
+        begin=lambda attempt: crew.run.taker.begin_check(n_before, attempt),
+        attempt=lambda _attempt: _check(crew),
+    )
+
+
+def _until_done(task: _Task, crew: _Crew) -> Messages:
+    """Do a task, and do about its errors what the policy says."""
     setbacks = Setbacks()
     while True:
         if crew.run.stop.is_asked:
             raise RunStoppedError
-        crew.run.taker.begin(shot, setbacks.attempt)
+        task.begin(setbacks.attempt)
         try:
             if setbacks.lost is not None:
                 yield from _reconnect(setbacks.lost, crew)
                 setbacks.lost = None
-            yield from _shot(shot, setbacks.attempt, crew)
+            yield from task.attempt(setbacks.attempt)
         except FailedStatus as failure:
-            pause_s = _pause_after(failure.__cause__, shot, setbacks, crew.run)
+            pause_s = _pause_after(failure.__cause__, task, setbacks, crew.run)
             if pause_s is None:
                 raise
             yield from _nap(pause_s, crew)
         else:
             if setbacks.suspensions:
-                crew.run.listener.on_resume(shot)
+                crew.run.listener.on_resume(task.name)
             return
 
 
 def _pause_after(
-    error: BaseException | None, shot: Shot, setbacks: Setbacks, run: _Run
+    error: BaseException | None, task: _Task, setbacks: Setbacks, run: _Run
 ) -> float | None:
     """Note a setback, and say how long to pause before the next attempt; None: there is none."""
     remedy = remedy_for(error)
@@ -373,31 +312,31 @@ def _pause_after(
     if run.taker.is_in_place:  # the robot moved, so the cell was safe since it last was not
         setbacks.unsafe_since_s = None
     if remedy is Remedy.WAIT:
-        return _pause_until_safe(error, shot, setbacks, run)
-    return _pause_after_failure(error, shot, setbacks, run)
+        return _pause_until_safe(error, task, setbacks, run)
+    return _pause_after_failure(error, task, setbacks, run)
 
 
 def _pause_until_safe(
-    error: DeviceError, shot: Shot, setbacks: Setbacks, run: _Run
+    error: DeviceError, task: _Task, setbacks: Setbacks, run: _Run
 ) -> float | None:
     now_s = run.taker.monotonic_s()
     if setbacks.unsafe_since_s is None:
         setbacks.unsafe_since_s = now_s
         setbacks.suspensions += 1
-        run.listener.on_wait(shot, error)
+        run.listener.on_wait(task.name, error)
     elif now_s - setbacks.unsafe_since_s > run.taker.config.room.timeout_s:
         return None
     return _SAFETY_LOOK_S
 
 
 def _pause_after_failure(
-    error: DeviceError, shot: Shot, setbacks: Setbacks, run: _Run
+    error: DeviceError, task: _Task, setbacks: Setbacks, run: _Run
 ) -> float | None:
     attempt = setbacks.attempt
     setbacks.failures += 1
     if setbacks.failures == MAX_ATTEMPTS:
         return None
-    run.listener.on_retry(shot, attempt, error)
+    run.listener.on_retry(task.name, attempt, error)
     if remedy_for(error) is Remedy.RECONNECT:
         setbacks.lost = error.device
     return PAUSES_S[setbacks.failures - 1]
@@ -405,11 +344,11 @@ def _pause_after_failure(
 
 def _reconnect(device: str, crew: _Crew) -> Messages:
     taker = crew.run.taker
-    yield from _trigger(_deed(f"connect {device}", crew.run, lambda: taker.reconnect(device)))
+    yield from _trigger(deed(f"connect {device}", crew.run.worker, lambda: taker.reconnect(device)))
 
 
 def _nap(duration_s: float, crew: _Crew) -> Messages:
-    yield from _trigger(_deed("wait", crew.run, lambda: crew.run.taker.sleep(duration_s)))
+    yield from _trigger(deed("wait", crew.run.worker, lambda: crew.run.taker.sleep(duration_s)))
 
 
 def _shot(shot: Shot, attempt: int, crew: _Crew) -> Messages:
@@ -425,7 +364,16 @@ def _shot(shot: Shot, attempt: int, crew: _Crew) -> Messages:
     yield from bps.save()
 
 
-def _trigger(step: _Measurement) -> Messages:
+def _check(crew: _Crew) -> Messages:
+    yield from bps.checkpoint()
+    yield from _trigger(crew.guard)
+    yield from _trigger(crew.watch)
+    yield from bps.create(name="drift")
+    yield from bps.read(crew.watch)
+    yield from bps.save()
+
+
+def _trigger(step: Measurement) -> Messages:
     # A group of its own: a step that fails before it is waited for stays in its group, and would
     # fail the wait for another step.
     group = object()

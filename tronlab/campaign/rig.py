@@ -19,6 +19,9 @@ from tronlab.yaml_models import ExistingFile, Model, join_errors, line_of, parse
 if TYPE_CHECKING:
     from tronlab.twin.world import WorldSetup
 
+EXTENDS_MARK = "\n# --- extends: "
+"""Begins the line between a rig file's text and that of the one it extends."""
+
 
 class DeviceConfig(Model):
     """Which driver a device has, and the driver's own settings."""
@@ -103,7 +106,7 @@ class Rig:
         """Get everything that was read, for provenance."""
         if self.extended is None:
             return self.text
-        return f"{self.text}\n# --- extends: {self.extended.path.name}\n{self.extended.whole_text}"
+        return f"{self.text}{EXTENDS_MARK}{self.extended.path.name}\n{self.extended.whole_text}"
 
     def load_heightmap(self, announce: Callable[[str], None] | None = None) -> HeightMap:
         """Make or read the terrain model; ``announce`` is told of slow steps.

@@ -3,12 +3,15 @@
 import os
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
 from tronlab.calib.record import CalibrationRecord
+from tronlab.campaign.acceptance import Acceptance
+from tronlab.campaign.accuracy import describe_accuracy
 from tronlab.campaign.config import Campaign, load_campaign
+from tronlab.campaign.drift import Vigil, begin_vigil, open_watch
 from tronlab.campaign.engine import RunListener, run_shots
 from tronlab.campaign.live import Live, SilentLive
 from tronlab.campaign.plan import (
@@ -51,6 +54,7 @@ class _Job:
     rig: Rig
     calibration: CalibrationRecord
     calibration_text: str
+    acceptance: Acceptance
     plan: Plan
     reference_indices: tuple[int, ...]
     seed: int
@@ -64,6 +68,7 @@ def run_campaign(
     calibration_path: Path | None = None,
     out_dir: Path | None = None,
     seed: int | None = None,
+    is_calibration_accepted: bool = False,
     live: Live | None = None,
     stop: StopRequest | None = None,
 ) -> Path:
@@ -75,6 +80,8 @@ def run_campaign(
         calibration_path: Calibration record to use instead of the one the campaign names.
         out_dir: Folder of the dataset, new or empty; by default out/NAME of the campaign.
         seed: Instead of the campaign's.
+        is_calibration_accepted: Whether to go on with a calibration record that has expired, is of
+            another rig or other devices, or whose reflectors have moved; the dataset says so.
         live: Shows the run.
         stop: How another thread stops the run; Ctrl-C does in the main thread.
 
@@ -83,7 +90,9 @@ def run_campaign(
 
     Raises:
         ConfigError: A file says something that cannot be, or ``out_dir`` is in use.
-        CalibrationError: The calibration record belongs to another rig or other devices.
+        CalibrationError: The calibration record lacks a part, has expired, is of another rig or
+            other devices, or its reflectors have moved: before the run, or beyond
+            ``drift.limit_m`` while it went on; the dataset then has status ``failed``.
         PlanError: The plan is empty, or the robot cannot reach a shot.
         DeviceError: A device failed; the dataset has status ``failed`` and is readable.
         DatasetError: A shot could not be written.
@@ -97,6 +106,7 @@ def run_campaign(
         calibration_path=calibration_path,
         out_dir=out_dir,
         seed=seed,
+        acceptance=Acceptance(is_calibration_accepted, warn=live.announce),
     )
 
     @cache
@@ -107,7 +117,8 @@ def run_campaign(
     devices = job.rig.open_devices(job.seed, load_heightmap=heightmap)
     with connected(devices):
         provenance = _check_devices(job, devices)
-        _record(job, devices, provenance, heightmap=heightmap(), live=live, stop=stop)
+        vigil = _vigil(job, devices, live)
+        _record(job, devices, provenance, vigil, heightmap=heightmap(), live=live, stop=stop)
     return job.dataset_path
 
 
@@ -118,6 +129,7 @@ def _read_job(
     calibration_path: Path | None,
     out_dir: Path | None,
     seed: int | None,
+    acceptance: Acceptance,
 ) -> _Job:
     """Read all files, and find every contradiction that needs no device."""
     brought = {"rig": rig_path, "calibration": calibration_path}
@@ -129,10 +141,13 @@ def _read_job(
     calibration_path = calibration_path or campaign.config.calibration
     calibration_text = read_text(calibration_path)
     calibration = CalibrationRecord.from_json(calibration_text, source=str(calibration_path))
-    calibration.check_rig(rig.name)
+    calibration.check_complete()
+    acceptance.let_pass(lambda: calibration.check_rig(rig.name))
+    acceptance.let_pass(calibration.check_validity)
     _check_image_size(calibration, rig, source=calibration_path)
     plan = make_plan(
-        camera_poses(campaign.config.trajectory), mounting=rig.config.laboratory.mounting
+        camera_poses(campaign.config.trajectory),
+        mounting=calibration.mounting(rig.config.laboratory.mounting),
     )
     _check_cores(campaign)
     return _Job(
@@ -140,6 +155,7 @@ def _read_job(
         rig=rig,
         calibration=calibration,
         calibration_text=calibration_text,
+        acceptance=acceptance,
         plan=plan,
         reference_indices=_reference_indices(campaign, len(plan.shots)),
         seed=campaign.config.seed if seed is None else seed,
@@ -196,7 +212,7 @@ def _check_image_size(calibration: CalibrationRecord, rig: Rig, *, source: Path)
 def _check_devices(job: _Job, devices: Devices) -> Provenance:
     """Find out who answers, and whether they can do what is planned, before anything moves."""
     identities = device_identities(devices)
-    job.calibration.check_devices(identities)
+    job.acceptance.let_pass(lambda: job.calibration.check_devices(identities))
     check_reach(job.plan, devices.robot)
     camera = job.campaign.config.camera
     devices.camera.configure(
@@ -221,6 +237,7 @@ def _record(
     job: _Job,
     devices: Devices,
     provenance: Provenance,
+    vigil: Vigil | None,
     *,
     heightmap: HeightMap,
     live: Live,
@@ -234,19 +251,48 @@ def _record(
         devices=devices,
         config=job.campaign.config,
         truth_source=TruthSource(job.calibration, heightmap, renderer),
+        drift_watch=vigil and vigil.watch,
         warn=live.announce,
     )
+    provenance = replace(provenance, accepted=tuple(job.acceptance.accepted))
     with _writer(job, provenance, taker=taker, live=live) as writer:
         writer.add_references(views)
+        drift = vigil and vigil.checks(
+            writer, n_shots=len(job.plan.shots), stop=stop, announce=live.announce
+        )
         with stopped_by_ctrl_c(stop, announce=live.announce):
             devices.room.switch_lamp(on=True)
             run_shots(
                 job.plan,
                 taker,
                 commit=writer.commit,
+                drift=drift,
                 stop=stop,
                 listener=_listener(writer, len(job.plan.shots), live),
             )
+    live.announce(describe_accuracy(job.dataset_path))
+
+
+def _vigil(job: _Job, devices: Devices, live: Live) -> Vigil | None:
+    """Begin to watch for drift, if the campaign wants it and the record allows it."""
+    watch = open_watch(
+        devices.tracker,
+        job.calibration,
+        job.campaign.config.drift,
+        advice="measure the frame anew: tronlab calibrate frame"
+        f" --rig {job.rig.path} --record {job.calibration.source}",
+    )
+    if watch is None:
+        live.announce("drift checks: none, so the truth of no shot is vouched for")
+        return None
+    vigil = begin_vigil(
+        watch,
+        job.acceptance,
+        on_retry=lambda attempt, error: live.announce(f"drift check, attempt {attempt}: {error}"),
+    )
+    if vigil.first.is_within:
+        live.announce(watch.describe(vigil.first))
+    return vigil
 
 
 def _references(
@@ -298,12 +344,11 @@ def _listener(writer: DatasetWriter, n_all: int, live: Live) -> RunListener:
     live.advance("shots", n_done=0, n_all=n_all)
     return RunListener(
         on_shot=lambda _record: live.advance("shots", n_done=writer.n_committed, n_all=n_all),
-        on_retry=lambda shot, attempt, error: live.announce(
-            f"shot {shot.shot_id}, attempt {attempt}: {error} (after {MAX_ATTEMPTS} failures the"
-            " run stops)"
+        on_retry=lambda task, attempt, error: live.announce(
+            f"{task}, attempt {attempt}: {error} (after {MAX_ATTEMPTS} failures the run stops)"
         ),
-        on_wait=lambda shot, error: live.announce(
-            f"waiting before shot {shot.shot_id}: {error}; the run goes on by itself"
+        on_wait=lambda task, error: live.announce(
+            f"waiting before {task}: {error}; the run goes on by itself"
         ),
-        on_resume=lambda shot: live.announce(f"safe again: shot {shot.shot_id} is taken"),
+        on_resume=lambda task: live.announce(f"safe again: {task} goes on"),
     )

@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 import numpy as np
@@ -10,16 +10,26 @@ from numpy.typing import NDArray
 
 from tronlab.calib.record import CalibrationRecord
 from tronlab.campaign.config import CampaignConfig, SettleConfig
+from tronlab.campaign.drift import DriftWatch
 from tronlab.campaign.plan import RangeFinder, Shot, range_los_m
-from tronlab.dataset.records import ShotRecord, Truth
+from tronlab.dataset.records import DriftRecord, ShotRecord, Truth
 from tronlab.devices.readings import Frame, PoseReading, RobotReading, RoomReading
 from tronlab.devices.registry import Devices
 from tronlab.errors import DeviceError, NotSettledError, SafetyError
-from tronlab.geometry.poses import rotation_angle_rad
+from tronlab.geometry.poses import pose_from_xyz_quat, rotation_angle_rad, xyz_quat_from_pose
 from tronlab.render.mask import model_mask
 from tronlab.terrain.heightmap import HeightMap
 
 T = TypeVar("T")
+
+
+def as_stored(reading: PoseReading) -> PoseReading:
+    """Give a reading as the dataset will give it back: a quaternion rounds otherwise than a matrix.
+
+    Truth that is derived from it can be recomputed from the dataset bit for bit.
+    """
+    numbers = xyz_quat_from_pose(reading.trk_from_tmac)
+    return replace(reading, trk_from_tmac=pose_from_xyz_quat(numbers))
 
 
 @dataclass(frozen=True)
@@ -66,16 +76,14 @@ class ShotTaker:
     truth_source: TruthSource
     sleep: Callable[[float], None] = time.sleep
     monotonic_s: Callable[[], float] = time.monotonic
+    drift_watch: DriftWatch | None = None
+    """Who measures the reflectors anew; None: nobody."""
     warn: Callable[[str], None] = lambda text: None
     """Told of what is odd but no error."""
     _now: _Readings | None = field(default=None, init=False)
     _has_warned_of_air: bool = field(default=False, init=False)
-
-    @property
-    def in_hand(self) -> str:
-        """Get which shot and attempt are being taken, for messages."""
-        now = self._now
-        return f"shot {now.shot.shot_id}, attempt {now.attempt}" if now else "no shot yet"
+    in_hand: str = field(default="no shot yet", init=False)
+    """Which shot or drift check, and which attempt at it, for messages."""
 
     @property
     def is_in_place(self) -> bool:
@@ -85,6 +93,16 @@ class ShotTaker:
     def begin(self, shot: Shot, attempt: int) -> None:
         """Forget the last shot: nothing of it can be paired with this one."""
         self._now = _Readings(shot=shot, attempt=attempt)
+        self.in_hand = f"shot {shot.shot_id}, attempt {attempt}"
+
+    def begin_check(self, n_shots_before: int, attempt: int) -> None:
+        """Forget the last shot: a drift check comes."""
+        self._now = None
+        self.in_hand = f"drift check after {n_shots_before} shots, attempt {attempt}"
+
+    def check_drift(self, n_shots_before: int) -> DriftRecord:
+        """Measure the reflectors, against where the calibration record has them."""
+        return _taken(self.drift_watch, "drift watch").check(n_shots_before)
 
     def check_room(self) -> None:
         """Look whether the room lets a shot be taken.
@@ -188,7 +206,7 @@ class ShotTaker:
         """Give the record of the shot: all of it read since ``begin``."""
         now = self._begun()
         tracker = _taken(now.tracker, "tracker")
-        truth, mask = self.truth_source.derive(tracker)
+        truth, mask = self.truth_source.derive(as_stored(tracker))
         return ShotRecord(
             shot_id=now.shot.shot_id,
             attempt=now.attempt,

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 
 import typer
 
+from tronlab.cli.budget import budget
 from tronlab.cli.calibrate import calibrate
 from tronlab.cli.dataset import dataset
 from tronlab.cli.demo import demo
@@ -27,8 +28,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Test campaigns for optical navigation: run, score and report.",
 )
-for command in (demo, run, score, report, calibrate):
+for command in (demo, run, score, report, budget):
     app.command()(command)
+app.add_typer(calibrate, name="calibrate")
 app.add_typer(dataset, name="dataset")
 app.add_typer(rig, name="rig")
 app.add_typer(twin, name="twin")

@@ -1,126 +1,252 @@
-"""The command ``tronlab calibrate``."""
+"""The commands ``tronlab calibrate``: measured at a rig, or solved from recorded files."""
 
-import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tronlab.errors import CalibrationError
+from tronlab.errors import ConfigError
 
 if TYPE_CHECKING:
-    from tronlab.calib.record import CalibrationRecord
-    from tronlab.campaign.rig import Rig
+    from tronlab.devices.laboratory import PatternSpec
 
-RECORDS = Path("calibration/records")
+EXIT_DIFFERENT = 1
+OFFLINE_RIG = "offline"
+
+calibrate = typer.Typer(
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    help="Calibrate a rig, whole or part by part; solve recorded files; compare records.",
+)
 
 
-class Part(StrEnum):
-    """What can be calibrated."""
+class PatternKind(StrEnum):
+    """What is printed on a board."""
 
-    ALL = "all"
+    CHARUCO = "charuco"
+    CHARUCO_LEGACY = "charuco_legacy"
+    CHESSBOARD = "chessboard"
 
 
-def calibrate(
-    part: Annotated[Part, typer.Argument(help="What to calibrate.")],
+_Rig = Annotated[Path, typer.Option("--rig", metavar="RIG.yaml", help="Rig file.")]
+_RigOrFiles = Annotated[
+    Path | None, typer.Option("--rig", metavar="RIG.yaml", help="Rig file: measure at the rig.")
+]
+_Files = Annotated[
+    list[Path] | None,
+    typer.Option("--from", metavar="PATH", help="Recorded files or folders instead of a rig."),
+]
+_MoreFiles = Annotated[
+    list[Path] | None, typer.Argument(metavar="[PATH]...", help="Further paths after --from.")
+]
+_Record = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="RECORD.json",
+        help="File of the calibration record.  [default: calibration/records/RIG-NAME.json]",
+    ),
+]
+_Seed = Annotated[
+    int,
+    typer.Option(min=0, max=2**32 - 1, help="Seed of the measurement noise of simulated devices."),
+]
+_Yes = Annotated[bool, typer.Option("--yes", help="Ask nothing: take what the wizard proposes.")]
+_RigName = Annotated[str, typer.Option(help="With --from: whose the record is.")]
+_Kind = Annotated[
+    PatternKind | None, typer.Option("--pattern", help="With --from: what is on the board.")
+]
+_Columns = Annotated[
+    int | None, typer.Option(min=3, help="With --from: number of squares along x of the board.")
+]
+_Rows = Annotated[
+    int | None, typer.Option(min=3, help="With --from: number of squares along y of the board.")
+]
+_Square = Annotated[float | None, typer.Option(help="With --from: side of a square, metres.")]
+_Marker = Annotated[
+    float | None, typer.Option(help="With --from: side of a marker, metres; ChArUco only.")
+]
+_Dictionary = Annotated[str, typer.Option(help="With --from: the markers' dictionary.")]
+
+
+@calibrate.command("all")
+def everything(
     *,
-    rig: Annotated[Path, typer.Option(metavar="RIG.yaml", help="Rig file.")],
-    record: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="RECORD.json",
-            help=f"File of the calibration record.  [default: {RECORDS}/RIG-NAME.json]",
-        ),
-    ] = None,
-    seed: Annotated[
-        int,
-        typer.Option(
-            min=0, max=2**32 - 1, help="Seed of the measurement noise of simulated devices."
-        ),
-    ] = 0,
-    yes: Annotated[bool, typer.Option("--yes", help="Do not ask before the robot moves.")] = False,
-    force: Annotated[bool, typer.Option("--force", help="Replace an existing record.")] = False,
+    rig: _Rig,
+    record: _Record = None,
+    seed: _Seed = 0,
+    yes: _Yes = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Replace an existing record; the old one is kept.")
+    ] = False,
 ) -> None:
-    """Calibrate a rig: model frame, camera, hand-eye transform and lamp."""
-    from tronlab.campaign.rig import load_rig
+    """Measure everything: model frame, lamp, robot, camera and hand-eye transform."""
+    from tronlab.cli.calibration_session import measure_all
 
-    opened = load_rig(rig)
-    path = record or RECORDS / f"{opened.name}.json"
-    if path.exists() and not force:
-        raise CalibrationError(
-            f"calibration record {path}: exists already;\nname another file, or replace it: --force"
+    measure_all(rig, record, yes=yes, seed=seed, force=force)
+
+
+@calibrate.command()
+def frame(*, rig: _Rig, record: _Record = None, seed: _Seed = 0, yes: _Yes = False) -> None:
+    """Measure the model's reflectors: all there is to do after the tracker was moved."""
+    from tronlab.cli.calibration_session import measure_part
+
+    measure_part("frame", rig, record, yes=yes, seed=seed)
+
+
+@calibrate.command()
+def lamp(*, rig: _Rig, record: _Record = None, seed: _Seed = 0, yes: _Yes = False) -> None:
+    """Measure the reflector on the lamp, and the model's reflectors with it."""
+    from tronlab.cli.calibration_session import measure_part
+
+    measure_part("lamp", rig, record, yes=yes, seed=seed)
+
+
+@calibrate.command()
+def robot(*, rig: _Rig, record: _Record = None, seed: _Seed = 0, yes: _Yes = False) -> None:
+    """Measure where the T-MAC is at many places of arm and rail, so that poses are met."""
+    from tronlab.cli.calibration_session import measure_part
+
+    measure_part("robot", rig, record, yes=yes, seed=seed)
+
+
+@calibrate.command()
+def intrinsics(
+    paths: _MoreFiles = None,
+    *,
+    rig: _RigOrFiles = None,
+    files: _Files = None,
+    record: _Record = None,
+    seed: _Seed = 0,
+    yes: _Yes = False,
+    rig_name: _RigName = OFFLINE_RIG,
+    kind: _Kind = None,
+    columns: _Columns = None,
+    rows: _Rows = None,
+    square_m: _Square = None,
+    marker_m: _Marker = None,
+    dictionary: _Dictionary = "DICT_5X5_250",
+    focal_px: Annotated[
+        float | None, typer.Option(help="With --from: focal length to start from, pixels.")
+    ] = None,
+) -> None:
+    """Calibrate the camera from images of a board: taken at a rig, or files."""
+    from tronlab.cli.calibration_session import measure_part, solve_files
+
+    recorded = _recorded(rig, files, paths)
+    if rig is not None:
+        measure_part("intrinsics", rig, record, yes=yes, seed=seed)
+        return
+    pattern = _pattern(
+        kind, dictionary, columns=columns, rows=rows, square_m=square_m, marker_m=marker_m
+    )
+    if pattern is None:
+        raise ConfigError(
+            "--from needs to know what is on the board: --pattern, --columns, --rows and --square-m"
         )
-    if not yes:
-        typer.confirm("The robot will move round the calibration board. Go on?", abort=True)
-    made = _measure_and_solve(opened, seed)
-    made.save(path)
-    typer.echo(_verdict(made))
-    typer.echo(path)
+    from tronlab.calib.offline import read_intrinsics
+    from tronlab.cli.calibration_files import record_path
+
+    read = read_intrinsics(recorded, pattern=pattern, nominal_focal_px=focal_px)
+    solve_files(record_path(record, rig_name), rig_name, intrinsics=read)
 
 
-def _measure_and_solve(rig: "Rig", seed: int) -> "CalibrationRecord":
-    from tronlab.calib.wizard import CalibrationSettings, calibrate
-    from tronlab.campaign.live import open_live
-    from tronlab.campaign.provenance import software_versions
-    from tronlab.devices.registry import connected
+@calibrate.command("hand-eye")
+def hand_eye(
+    paths: _MoreFiles = None,
+    *,
+    rig: _RigOrFiles = None,
+    files: _Files = None,
+    record: _Record = None,
+    seed: _Seed = 0,
+    yes: _Yes = False,
+    rig_name: _RigName = OFFLINE_RIG,
+    kind: _Kind = None,
+    columns: _Columns = None,
+    rows: _Rows = None,
+    square_m: _Square = None,
+    marker_m: _Marker = None,
+    dictionary: _Dictionary = "DICT_5X5_250",
+    camera: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="With --from: the camera, if it is known."),
+    ] = None,
+    eye_to_hand: Annotated[
+        bool, typer.Option("--eye-to-hand", help="With --from: the board is on the hand.")
+    ] = False,
+) -> None:
+    """Find where the camera sits on the T-MAC, and calibrate the camera with it.
 
-    devices = rig.open_devices(seed, session="calibration")
-    with open_live(sys.stderr) as live, connected(devices):
-        return calibrate(
-            devices,
-            rig.config.laboratory,
-            rig_name=rig.name,
-            software=software_versions(),
-            settings=CalibrationSettings(),
-            progress=live,
-        )
+    At a rig, or from files: poses and images, pose pairs, or two time-stamped streams of poses.
+    """
+    from tronlab.cli.calibration_session import measure_part, solve_files
 
+    recorded = _recorded(rig, files, paths)
+    if rig is not None:
+        measure_part("hand_eye", rig, record, yes=yes, seed=seed)
+        return
+    from tronlab.calib.offline import read_camera, read_hand_eye
+    from tronlab.cli.calibration_files import record_path
 
-def _verdict(record: "CalibrationRecord") -> str:
-    """Give the results with one sigma each, as lines of a table."""
-    import numpy as np
-
-    def sigmas(covariance: np.ndarray) -> np.ndarray:
-        return np.sqrt(np.diag(covariance))
-
-    def pose(covariance: np.ndarray) -> str:
-        turn_mdeg = np.degrees(sigmas(covariance)[:3]) * 1e3
-        shift_mm = sigmas(covariance)[3:] * 1e3
-        return (
-            f"sigma x y z  {' '.join(f'{value:.3f}' for value in shift_mm)} mm,"
-            f"  {' '.join(f'{value:.2f}' for value in turn_mdeg)} mdeg"
-        )
-
-    camera, s = record.camera, record.statistics
-    f_sigma = sigmas(record.camera_covariance)[:4]
-    focal_and_centre = (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px)
-    pixels = [f"{v:.3f} +- {d:.3f}" for v, d in zip(focal_and_centre, f_sigma, strict=True)]
-    lamp_mm = " ".join(f"{v * 1e3:.3f}" for v in sigmas(record.p_lamp_trs_covariance_m2))
-    lamp_m = " ".join(f"{v:.4f}" for v in record.p_lamp_trs_m)
-    rows = [
-        ("focal length fx, fy", f"{pixels[0]}, {pixels[1]} px"),
-        ("principal point", f"{pixels[2]}, {pixels[3]} px"),
-        ("distortion", "  ".join(f"{k:.5f}" for k in camera.distortion) + "  (k1 k2 p1 p2 k3)"),
-        (
-            "corners",
-            f"rms {s['rms_px']:.3f} px over {s['n_corners']} in {s['n_stations']} stations",
+    read = read_hand_eye(
+        recorded,
+        pattern=_pattern(
+            kind, dictionary, columns=columns, rows=rows, square_m=square_m, marker_m=marker_m
         ),
-        ("hand-eye tmac_from_cam", pose(record.tmac_from_cam_covariance)),
-        ("frame trs_from_trk", pose(record.trs_from_trk_covariance)),
-        ("lamp, its reflector", f"{lamp_m} m,  sigma {lamp_mm} mm"),
-        (
-            "tracker against camera",
-            f"chi-square {s['chi_square_poses']:.1f}, expected {s['dof_poses']:.1f}:"
-            f" {_judge(s['p_value_poses'])}",
-        ),
-    ]
-    return "\n".join(f"{name:<24}{value}" for name, value in rows)
+        camera=None if camera is None else read_camera(camera),
+        setup="eye_to_hand" if eye_to_hand else "eye_in_hand",
+    )
+    solve_files(record_path(record, rig_name), rig_name, hand_eye=read)
 
 
-def _judge(p_value: float) -> str:
-    from tronlab.calib.solve import MIN_P_VALUE
+@calibrate.command()
+def rerun(
+    record: Annotated[Path, typer.Argument(metavar="RECORD.json", help="Calibration record.")],
+    out: Annotated[
+        Path | None, typer.Option(metavar="NEW.json", help="Write the record solved again.")
+    ] = None,
+) -> None:
+    """Solve a record's readings again; the exit code is 1 if the answer is not the same."""
+    from tronlab.cli.calibration_rerun import rerun_record
 
-    if p_value < MIN_P_VALUE:
-        return "DOES NOT FIT the stated accuracy of the tracker; look for what moved"
-    return "agrees with the stated accuracy of the tracker"
+    if not rerun_record(record, out):
+        raise typer.Exit(EXIT_DIFFERENT)
+
+
+@calibrate.command()
+def compare(
+    first: Annotated[Path, typer.Argument(metavar="RECORD.json", help="The earlier record.")],
+    second: Annotated[Path, typer.Argument(metavar="RECORD.json", help="The later record.")],
+) -> None:
+    """Say what moved between two records, in units and in sigmas."""
+    from tronlab.calib.compare import compare_records
+    from tronlab.calib.record import CalibrationRecord
+
+    comparison = compare_records(CalibrationRecord.load(first), CalibrationRecord.load(second))
+    typer.echo(comparison.table())
+
+
+def _recorded(rig: Path | None, files: list[Path] | None, more: list[Path] | None) -> list[Path]:
+    """Give the recorded files; either they or a rig must be named."""
+    if files and rig is not None:
+        raise ConfigError("--rig measures, --from reads files: name one of them")
+    if not files and more:
+        raise ConfigError(f"'{more[0]}': put --from before the recorded files")
+    if not files and rig is None:
+        raise ConfigError("name a rig file to measure: --rig RIG.yaml, or recorded files: --from")
+    return [*(files or ()), *(more or ())]
+
+
+def _pattern(
+    kind: PatternKind | None, dictionary: str, **sizes: float | None
+) -> "PatternSpec | None":
+    """Give what is on the board; None if nothing was said of it."""
+    from tronlab.devices.laboratory import PatternSpec
+    from tronlab.yaml_models import parse_mapping
+
+    given: dict[str, float | str] = {k: v for k, v in sizes.items() if v is not None}
+    if kind is not None:
+        given["kind"] = kind.value
+    if not given:
+        return None
+    return parse_mapping({**given, "dictionary": dictionary}, PatternSpec, key="board")

@@ -50,6 +50,54 @@ def validate(path: _PathArgument) -> None:
     typer.echo("valid")
 
 
+@dataset.command()
+def recompute_truth(
+    path: _PathArgument,
+    *,
+    calibration: Annotated[
+        Path, typer.Option(metavar="RECORD.json", help="The calibration record to compute it with.")
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="NEW.h5", help="The new file (default: beside it, NAME.recomputed.h5)."
+        ),
+    ] = None,
+    rig: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="RIG.yaml", help="Rig file, needed only where the terrain is a file it names."
+        ),
+    ] = None,
+    accept_calibration: Annotated[
+        bool,
+        typer.Option(
+            "--accept-calibration",
+            help="Use a record of another rig or other devices, or one that had expired when the"
+            " dataset was recorded; the new dataset says so.",
+        ),
+    ] = False,
+) -> None:
+    """Compute the ground truth again with another calibration record, into a new file."""
+    import sys
+
+    from tronlab.campaign.live import open_live
+    from tronlab.campaign.recompute import recompute_truth as recompute
+
+    target = out or path.with_name(f"{path.stem}.recomputed.h5")
+    with open_live(sys.stderr) as live:
+        change = recompute(
+            path,
+            calibration,
+            out=target,
+            rig_path=rig,
+            is_calibration_accepted=accept_calibration,
+            live=live,
+        )
+    typer.echo(change)
+    typer.echo(target)
+
+
 def _print_table(rows: dict[str, str]) -> None:
     from rich.console import Console
     from rich.table import Table
@@ -81,9 +129,29 @@ def _facts(opened: "Dataset") -> dict[str, str]:
         "range to terrain": _span(opened.rows(f"{TRUTH}/range_los_m"), "m"),
         "usable fraction": _span(opened.rows(f"{TRUTH}/usable_fraction"), ""),
         "calibrated": _calibrated(provenance.calibration_json),
+        **_trust(opened),
         **{f"device {name}": text for name, text in sorted(provenance.devices.items())},
         **{f"version {name}": text for name, text in sorted(provenance.software.items())},
     }
+
+
+def _trust(opened: "Dataset") -> dict[str, str]:
+    """Give what is known about whether truth can be trusted."""
+    from collections import Counter
+
+    counts = Counter(opened.truth_states)
+    facts = {"truth of the shots": ", ".join(f"{n} {state}" for state, n in counts.items()) or "-"}
+    if opened.drift_checks:
+        largest = max(opened.drift_checks, key=lambda check: check.max_shift_m)
+        facts["drift checks"] = (
+            f"{len(opened.drift_checks)}, at most {largest.max_shift_m * 1e3:.3f} mm"
+            f" (limit {largest.limit_m * 1e3:g} mm)"
+        )
+    if opened.provenance.accepted:
+        facts["accepted"] = "; ".join(opened.provenance.accepted)
+    if (recomputation := opened.provenance.recomputation) is not None:
+        facts["truth recomputed"] = f"{recomputation.time_utc} from {recomputation.dataset_name}"
+    return facts
 
 
 def _images(opened: "Dataset") -> str:

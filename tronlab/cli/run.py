@@ -11,6 +11,7 @@ from tronlab.cli.exit_codes import INTERRUPTED
 
 def run(
     campaign: Annotated[Path, typer.Argument(metavar="CAMPAIGN.yaml", help="Campaign file.")],
+    *,
     rig: Annotated[
         Path | None,
         typer.Option(metavar="RIG.yaml", help="Rig file instead of the one the campaign names."),
@@ -31,6 +32,14 @@ def run(
     seed: Annotated[
         int | None, typer.Option(min=0, max=2**32 - 1, help="Seed instead of the campaign's.")
     ] = None,
+    accept_calibration: Annotated[
+        bool,
+        typer.Option(
+            "--accept-calibration",
+            help="Go on with a calibration record that has expired, is of another rig or other"
+            " devices, or whose reflectors have moved; the dataset says so.",
+        ),
+    ] = False,
 ) -> None:
     """Run a campaign and record its dataset."""
     from tronlab.campaign.live import open_live
@@ -44,6 +53,7 @@ def run(
                 calibration_path=calibration,
                 out_dir=out,
                 seed=seed,
+                is_calibration_accepted=accept_calibration,
                 live=live,
             )
     except KeyboardInterrupt as interrupt:

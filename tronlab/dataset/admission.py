@@ -1,14 +1,14 @@
-"""What a shot, a reference view and a provenance must be like before they are written."""
+"""What must be true of shots, drift checks, views and provenance before they are written."""
 
-from collections.abc import Iterator
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from tronlab.dataset import schema
-from tronlab.dataset.records import Provenance, ReferenceView, ShotRecord
+from tronlab.dataset.records import DriftRecord, Provenance, ReferenceView, ShotRecord
 from tronlab.errors import DatasetError
 
 Values: TypeAlias = dict[str, NDArray[Any]]
@@ -68,26 +68,52 @@ def values_of(path: Path, shot: ShotRecord) -> Values:
     Raises:
         DatasetError: A value is not finite, has another shape, or does not fit its type.
     """
-    return dict(_values(path, shot))
+    where = f"{path}: shot {shot.shot_id}"
+    return {
+        column.path: _fitting(where, column, column.value_of(shot), column.shape)
+        for column in schema.COLUMNS
+    }
 
 
-def _values(path: Path, shot: ShotRecord) -> Iterator[tuple[str, NDArray[Any]]]:
-    for column in schema.COLUMNS:
-        where = f"{path}: shot {shot.shot_id}: {column.path.removeprefix('entry/')}"
-        given = column.value_of(shot)
-        try:
-            value = np.asarray(given, dtype=column.dtype)
-        except (OverflowError, TypeError, ValueError) as error:
-            raise DatasetError(f"{where}: {given!r}: {error}") from error
-        if value.shape != column.shape:
-            raise DatasetError(f"{where}: shape is {value.shape}, expected {column.shape}")
-        if value.dtype.kind == "f" and not _is_known(value, is_optional=column.is_optional):
-            raise DatasetError(f"{where}: is not finite: {value.tolist()}")
-        if value.dtype.kind == "S" and value.item() != given:
-            raise DatasetError(
-                f"{where}: {given!r} is longer than {schema.PIXEL_FORMAT_BYTES} bytes"
-            )
-        yield column.path, value
+def drift_values_of(path: Path, check: DriftRecord, reflectors: Sequence[str]) -> Values:
+    """Give everything of a drift check, by the path of its column.
+
+    Args:
+        path: The dataset, for the message.
+        check: The check.
+        reflectors: Those the dataset was set up for, in the order of their rows.
+
+    Raises:
+        DatasetError: Other reflectors, or as ``values_of``.
+    """
+    where = f"{path}: drift check after {check.n_shots_before} shots"
+    if tuple(check.readings) != tuple(reflectors):
+        raise DatasetError(
+            f"{where}: of reflectors {', '.join(check.readings)}, expected {', '.join(reflectors)}"
+        )
+    return {
+        column.path: _fitting(
+            where, column, column.value_of(check), column.row_shape(len(reflectors))
+        )
+        for column in schema.DRIFT_COLUMNS
+    }
+
+
+def _fitting(
+    where: str, column: schema.Column, given: ArrayLike, shape: tuple[int, ...]
+) -> NDArray[Any]:
+    where = f"{where}: {column.path.removeprefix('entry/')}"
+    try:
+        value = np.asarray(given, dtype=column.dtype)
+    except (OverflowError, TypeError, ValueError) as error:
+        raise DatasetError(f"{where}: {given!r}: {error}") from error
+    if value.shape != shape:
+        raise DatasetError(f"{where}: shape is {value.shape}, expected {shape}")
+    if value.dtype.kind == "f" and not _is_known(value, is_optional=column.is_optional):
+        raise DatasetError(f"{where}: is not finite: {value.tolist()}")
+    if value.dtype.kind == "S" and value.item() != given:
+        raise DatasetError(f"{where}: {given!r} is longer than {schema.PIXEL_FORMAT_BYTES} bytes")
+    return value
 
 
 def _is_known(value: NDArray[Any], *, is_optional: bool) -> bool:

@@ -1,6 +1,8 @@
 """Reading a dataset; whatever is wrong with the file becomes one clear error."""
 
 import math
+from dataclasses import fields
+from functools import cached_property
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, cast, get_args
@@ -10,8 +12,16 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from tronlab.dataset import schema
+from tronlab.dataset.drift import drift_records, truth_states
 from tronlab.dataset.opening import open_dataset
-from tronlab.dataset.records import Provenance, ReferenceView, ShotRecord, Truth
+from tronlab.dataset.records import (
+    DriftRecord,
+    Provenance,
+    Recomputation,
+    ReferenceView,
+    ShotRecord,
+    Truth,
+)
 from tronlab.devices.readings import AirReading, Frame, PoseReading, RobotReading, RoomReading
 from tronlab.errors import CalibrationError, DatasetError, FrameError, IntegrityError
 from tronlab.geometry.camera import CameraModel
@@ -110,6 +120,25 @@ class Dataset:
             return 0
         return len(self._object(f"{schema.REFERENCES}/view_id"))
 
+    @cached_property
+    def drift_checks(self) -> tuple[DriftRecord, ...]:
+        """Get the drift checks in their order, checksums verified; empty if there were none."""
+        if schema.DRIFT not in self._file:
+            return ()
+        n = int(self._read(schema.N_DRIFT_CHECKS))
+        paths = (*(column.path for column in schema.DRIFT_COLUMNS), schema.DRIFT_CRC32)
+        rows = {path: self._read(path, slice(0, n)) for path in paths}
+        reflectors = self._attributes(schema.DRIFT).get("reflectors", ())
+        try:
+            return drift_records(rows, tuple(map(str, reflectors)))
+        except IntegrityError as error:
+            raise IntegrityError(f"{self.path}: {error}") from None
+
+    @cached_property
+    def truth_states(self) -> tuple[schema.TruthState, ...]:
+        """Get what the drift checks say of the truth of each shot."""
+        return truth_states(self.n_shots, self.drift_checks)
+
     def columns(self) -> tuple[schema.ShotColumn, ...]:
         """Give the columns of the layout that this file has: older ones lack some optional ones."""
         return tuple(
@@ -118,12 +147,19 @@ class Dataset:
             if not column.is_optional or column.path in self._file
         )
 
-    def values_of_checksum(self) -> tuple[NDArray[Any], ...]:
-        """Read the columns that a shot's checksum takes, in its order; newer files have more."""
+    def shots_with_damaged_values(self) -> tuple[int, ...]:
+        """Give the ids of shots whose values, besides image and mask, do not fit their checksum."""
         order = self._attributes(schema.VALUES_CRC32).get("order", ())
         if not len(order):
             raise IntegrityError(f"{self.path}: {schema.VALUES_CRC32} does not say its order")
-        return tuple(self.rows(str(path)) for path in order)
+        values = [self.rows(str(path)) for path in order]
+        checksums = self.rows(schema.VALUES_CRC32)
+        # A slice keeps the stored type, an index would make a Python value of a text.
+        return tuple(
+            int(shot_id)
+            for i, shot_id in enumerate(self.shot_ids)
+            if schema.checksum(rows[i : i + 1] for rows in values) != checksums[i]
+        )
 
     def image(self, i: int) -> NDArray[np.uint8] | NDArray[np.uint16]:
         """Read the image of shot ``i``, shape (rows, columns), and verify its checksum."""
@@ -268,7 +304,18 @@ class Dataset:
             plan_sha256=self._text("entry/recording/plan_sha256"),
             n_shots_planned=int(self._read("entry/recording/n_shots_planned")),
             camera=self._camera_model(),
+            accepted=tuple(map(str, self._attributes("entry/calibration").get("accepted", ()))),
+            recomputation=self._recomputation(),
         )
+
+    def _recomputation(self) -> Recomputation | None:
+        if schema.RECOMPUTED not in self._file:
+            return None
+        texts = {
+            field.name: self._text(f"{schema.RECOMPUTED}/{field.name}")
+            for field in fields(Recomputation)
+        }
+        return Recomputation(**texts)
 
     def _camera_model(self) -> CameraModel:
         path = f"{schema.CAMERA}/model"

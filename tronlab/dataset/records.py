@@ -1,12 +1,19 @@
 """The values a dataset holds: records of shots, and the reference views of the terrain."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from tronlab.devices.readings import Frame, PoseReading, RobotReading, RoomReading
+from tronlab.devices.readings import (
+    Frame,
+    PointReading,
+    PoseReading,
+    RobotReading,
+    RoomReading,
+)
 from tronlab.geometry.camera import CameraModel
 from tronlab.geometry.poses import FloatArray
 
@@ -42,6 +49,26 @@ class ShotRecord:
 
 
 @dataclass(frozen=True, slots=True)
+class DriftRecord:
+    """The reflectors measured anew between shots, against where the calibration has them."""
+
+    n_shots_before: int
+    """How many shots were committed before."""
+    time_s: float
+    """Seconds since 1970 UTC."""
+    readings: Mapping[str, PointReading]
+    """Raw, by name of the reflector."""
+    shift: FloatArray
+    """How the model seems to have moved, in trs: (rotation vector, translation), shape (6,), rad
+    and m. It is the error that truth has now."""
+    max_shift_m: float
+    """What that amounts to where it is largest on the model."""
+    limit_m: float
+    is_within: bool
+    """Whether nothing moved beyond the limit."""
+
+
+@dataclass(frozen=True, slots=True)
 class ReferenceView:
     """The terrain rendered at one nominal pose: what the navigation database is made from."""
 
@@ -52,6 +79,21 @@ class ReferenceView:
     depth_m: NDArray[np.float32]
     """Depth along the optical axis at each pixel centre; NaN where no terrain is seen."""
     mask: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Recomputation:
+    """What a dataset was before its ground truth was recomputed."""
+
+    time_utc: str
+    """When, ISO 8601."""
+    version: str
+    """Of the tronlab that did it."""
+    dataset_name: str
+    """Name of the file it came from."""
+    dataset_sha256: str
+    calibration_sha256: str
+    """Of the text of the calibration record that was replaced."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,3 +116,7 @@ class Provenance:
     n_shots_planned: int
     camera: CameraModel
     """Calibrated intrinsics of the images recorded."""
+    accepted: tuple[str, ...] = ()
+    """What spoke against the calibration record and was accepted all the same, one line each."""
+    recomputation: Recomputation | None = None
+    """Where truth comes from if it is not that of the recording."""

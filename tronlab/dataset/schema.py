@@ -15,16 +15,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
-from tronlab.dataset.records import ShotRecord
+from tronlab.dataset.records import DriftRecord, ShotRecord
+from tronlab.devices.readings import PointReading
 from tronlab.geometry.poses import FloatArray, xyz_quat_from_pose
 
-SCHEMA_VERSION: Final = (1, 1)
+SCHEMA_VERSION: Final = (1, 2)
 """Major and minor. A reader refuses a higher major; a higher minor only adds to the layout."""
 
 SCHEMA_ATTRIBUTE: Final = "tronlab_schema"
 
 FinalStatus: TypeAlias = Literal["complete", "aborted", "failed"]
 Status: TypeAlias = Literal["running", "complete", "aborted", "failed"]
+TruthState: TypeAlias = Literal["good", "suspect", "unchecked"]
+"""Of a shot: between two good drift checks, beside a bad one, or without one on both sides."""
 
 CAMERA: Final = "entry/instrument/camera"
 ROBOT: Final = "entry/instrument/robot"
@@ -42,6 +45,10 @@ REFERENCES: Final = "entry/references"
 REFERENCES_CRC32: Final = f"{REFERENCES}/crc32"
 REFERENCE_VALUES: Final = ("view_id", "trs_from_cam", "image", "depth_m", "mask")
 """Everything of a reference view, in the order its checksum takes it."""
+DRIFT: Final = "entry/drift"
+N_DRIFT_CHECKS: Final = f"{DRIFT}/n_committed"
+DRIFT_CRC32: Final = f"{DRIFT}/crc32"
+RECOMPUTED: Final = "entry/recomputed"
 
 POSE_UNITS: Final = ["m", "m", "m", "1", "1", "1", "1"]
 """Of the seven columns."""
@@ -68,7 +75,13 @@ GROUPS: Final[Mapping[str, str]] = {
     TRUTH: "NXcollection",
     "entry/data": "NXdata",
 }
-"""Every group and its NeXus class; ``entry/references`` comes with the reference views."""
+"""Every group and its NeXus class; those that not every file has are in ``OPTIONAL_GROUPS``."""
+
+OPTIONAL_GROUPS: Final[Mapping[str, str]] = {
+    REFERENCES: "NXcollection",
+    DRIFT: "NXcollection",
+    RECOMPUTED: "NXprocess",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,6 +191,48 @@ COLUMNS: Final[tuple[ShotColumn, ...]] = (
     _optional(f"{CAMERA}/device_time_s", "s", lambda s: s.frame.device_time_s),
 )
 """Every value of a shot besides image and mask, in the order their checksum takes them."""
+
+
+@dataclass(frozen=True, slots=True)
+class DriftColumn(Column):
+    """A dataset with one row a drift check."""
+
+    value_of: Callable[[DriftRecord], ArrayLike] = field(kw_only=True)
+    is_per_reflector: bool = field(default=False, kw_only=True)
+    """A row has one value a reflector, each of shape ``shape``."""
+
+    def row_shape(self, n_reflectors: int) -> tuple[int, ...]:
+        """Give the shape of one row."""
+        return (n_reflectors, *self.shape) if self.is_per_reflector else self.shape
+
+
+def _per_reflector(
+    name: str,
+    units: str,
+    shape: tuple[int, ...],
+    value_of: Callable[[PointReading], FloatArray | float],
+) -> DriftColumn:
+    return DriftColumn(
+        f"{DRIFT}/{name}",
+        units,
+        shape=shape,
+        is_per_reflector=True,
+        value_of=lambda check: np.array([value_of(point) for point in check.readings.values()]),
+    )
+
+
+DRIFT_COLUMNS: Final[tuple[DriftColumn, ...]] = (
+    DriftColumn(f"{DRIFT}/n_shots_before", "1", "<i8", value_of=lambda c: c.n_shots_before),
+    DriftColumn(f"{DRIFT}/time_s", UNIX_TIME, value_of=lambda c: c.time_s),
+    _per_reflector("p_trk_m", "m", (3,), lambda reading: reading.p_trk_m),
+    _per_reflector("p_trk_covariance_m2", "m2", (3, 3), lambda reading: reading.covariance_m2),
+    _per_reflector("p_trk_time_s", UNIX_TIME, (), lambda reading: reading.time_s),
+    DriftColumn(f"{DRIFT}/shift", COVARIANCE_UNITS, shape=(6,), value_of=lambda c: c.shift),
+    DriftColumn(f"{DRIFT}/max_shift_m", "m", value_of=lambda c: c.max_shift_m),
+    DriftColumn(f"{DRIFT}/limit_m", "m", value_of=lambda c: c.limit_m),
+    DriftColumn(f"{DRIFT}/is_within", "1", "u1", value_of=lambda c: c.is_within),
+)
+"""Every value of a drift check, in the order its checksum takes them."""
 
 CHECKSUM_COLUMNS: Final[tuple[Column, ...]] = tuple(
     Column(path, "1", "<u4") for path in (IMAGE_CRC32, MASK_CRC32, VALUES_CRC32)

@@ -5,6 +5,7 @@ overwrites bytes in place and never touches the file's inner structure, so that 
 full disk can leave that structure half changed. Images and masks occupy disk only once written.
 """
 
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from typing import Any, cast
 
@@ -19,6 +20,13 @@ from tronlab.geometry.poses import xyz_quat_from_pose
 
 _ROWS_PER_CHUNK = 64
 _SHORT_TEXT_BYTES = 32
+_REFERENCE_UNITS: Mapping[str, str | list[str]] = {
+    "view_id": "1",
+    "trs_from_cam": schema.POSE_UNITS,
+    "image": "1",
+    "depth_m": "m",
+    "mask": "1",
+}
 
 
 def utc_now() -> str:
@@ -55,7 +63,7 @@ def create_skeleton(file: h5py.File, provenance: Provenance) -> None:
     file["entry/devices"].attrs.update(provenance.devices)
     file[f"{schema.CAMERA}/model"].attrs.update(provenance.camera.to_dict())
     for column in (*schema.COLUMNS, *schema.CHECKSUM_COLUMNS):
-        _create_rows(file, column, provenance.n_shots_planned)
+        _create_rows(file, column, provenance.n_shots_planned, row_shape=column.shape)
     file[schema.VALUES_CRC32].attrs["order"] = [column.path for column in schema.COLUMNS]
 
 
@@ -80,29 +88,52 @@ def create_images(file: h5py.File, dtype: DTypeLike, provenance: Provenance) -> 
 def create_references(file: h5py.File, views: tuple[ReferenceView, ...]) -> None:
     """Write the reference views, all at once."""
     group = file.create_group(schema.REFERENCES)
-    group.attrs["NX_class"] = "NXcollection"
-    stacks: dict[str, tuple[list[Any], str, str | list[str]]] = {
-        "view_id": ([v.view_id for v in views], "<i8", "1"),
-        "trs_from_cam": (
-            [xyz_quat_from_pose(v.trs_from_cam) for v in views],
-            "<f8",
-            schema.POSE_UNITS,
-        ),
-        "image": ([v.image for v in views], "u1", "1"),
-        "depth_m": ([v.depth_m for v in views], "<f4", "m"),
-        "mask": ([v.mask for v in views], "u1", "1"),
-    }
-    arrays: list[NDArray[Any]] = []
-    for name in schema.REFERENCE_VALUES:
-        values, dtype, units = stacks[name]
-        array = np.asarray(values, dtype=dtype)
+    group.attrs["NX_class"] = schema.OPTIONAL_GROUPS[schema.REFERENCES]
+    arrays = reference_arrays(views)
+    for name, array in arrays.items():
         chunks = (1, *array.shape[1:]) if array.ndim == 3 else None
-        group.create_dataset(name, data=array, chunks=chunks).attrs["units"] = units
-        arrays.append(array)
+        stack = group.create_dataset(name, data=array, chunks=chunks)
+        stack.attrs["units"] = _REFERENCE_UNITS[name]
     group["trs_from_cam"].attrs.update(schema.pose_attributes("trs", "cam"))
-    checksums = [schema.checksum(view) for view in zip(*arrays, strict=True)]
-    crc32 = file.create_dataset(schema.REFERENCES_CRC32, data=np.asarray(checksums, dtype="<u4"))
+    crc32 = file.create_dataset(schema.REFERENCES_CRC32, data=reference_checksums(arrays))
     crc32.attrs.update({"units": "1", "order": list(schema.REFERENCE_VALUES)})
+
+
+def reference_arrays(views: Sequence[ReferenceView]) -> dict[str, NDArray[Any]]:
+    """Give the values of the reference views by name, stacked, in the order of their checksum."""
+    stacks = {
+        "view_id": np.array([v.view_id for v in views], "<i8"),
+        "trs_from_cam": np.array([xyz_quat_from_pose(v.trs_from_cam) for v in views], "<f8"),
+        "image": np.array([v.image for v in views], "u1"),
+        "depth_m": np.array([v.depth_m for v in views], "<f4"),
+        "mask": np.array([v.mask for v in views], "u1"),
+    }
+    return {name: stacks[name] for name in schema.REFERENCE_VALUES}
+
+
+def reference_checksums(arrays: Mapping[str, NDArray[Any]]) -> NDArray[np.uint32]:
+    """Give the checksum of each reference view."""
+    return np.array(
+        [schema.checksum(view) for view in zip(*arrays.values(), strict=True)], dtype="<u4"
+    )
+
+
+def create_drift(file: h5py.File, reflectors: tuple[str, ...], n_checks: int) -> None:
+    """Make room for all planned drift checks, with the counter at 0."""
+    group = file.create_group(schema.DRIFT)
+    group.attrs.update(NX_class=schema.OPTIONAL_GROUPS[schema.DRIFT], reflectors=list(reflectors))
+    for column in schema.DRIFT_COLUMNS:
+        _create_rows(file, column, n_checks, row_shape=column.row_shape(len(reflectors)))
+    crc32 = schema.Column(schema.DRIFT_CRC32, "1", "<u4")
+    _create_rows(file, crc32, n_checks, row_shape=())
+    file[schema.DRIFT_CRC32].attrs["order"] = [column.path for column in schema.DRIFT_COLUMNS]
+    file.create_dataset(schema.N_DRIFT_CHECKS, data=np.int64(0)).attrs["units"] = "1"
+
+
+def shrink_drift(file: h5py.File, n_rows: int) -> None:
+    """Give back the room of drift checks that will never come."""
+    for path in (*(column.path for column in schema.DRIFT_COLUMNS), schema.DRIFT_CRC32):
+        dataset_at(file, path).resize(n_rows, axis=0)
 
 
 def shrink_rows(file: h5py.File, n_rows: int) -> None:
@@ -145,6 +176,8 @@ def _write_notes(file: h5py.File, provenance: Provenance) -> None:
         note = group_at(file, f"entry/{name}")
         note["type"] = mime_type
         note["data"] = text
+    if provenance.accepted:
+        file["entry/calibration"].attrs["accepted"] = list(provenance.accepted)
     file["entry/instrument/name"] = provenance.rig_name
 
 
@@ -153,13 +186,15 @@ def _create_short_text(group: h5py.Group, name: str, text: str) -> None:
     group.create_dataset(name, data=text, dtype=h5py.string_dtype("utf-8", _SHORT_TEXT_BYTES))
 
 
-def _create_rows(file: h5py.File, column: schema.Column, n_rows: int) -> None:
+def _create_rows(
+    file: h5py.File, column: schema.Column, n_rows: int, *, row_shape: tuple[int, ...]
+) -> None:
     rows = file.create_dataset(
         column.path,
-        shape=(n_rows, *column.shape),
-        maxshape=(None, *column.shape),
+        shape=(n_rows, *row_shape),
+        maxshape=(None, *row_shape),
         dtype=column.dtype,
-        chunks=(min(n_rows, _ROWS_PER_CHUNK), *column.shape),
+        chunks=(min(n_rows, _ROWS_PER_CHUNK), *row_shape),
         dcpl=_allocated_early(),
     )
     rows.attrs.update({"units": column.units, **column.attributes})

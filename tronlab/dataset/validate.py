@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tronlab.dataset import schema
+from tronlab.dataset.drift import doubts
 from tronlab.dataset.reader import Dataset
 from tronlab.dataset.records import ReferenceView
 from tronlab.errors import CalibrationError, FrameError, IntegrityError
@@ -32,7 +33,7 @@ def validate(path: Path) -> list[str]:
     """Check a dataset from its counter to the last pixel.
 
     Truth is recomputed from the raw tracker readings if the calibration record inside the dataset
-    holds ``trs_from_trk`` and ``tmac_from_cam``; the camera model is compared with its ``camera``.
+    holds frame and hand-eye transform; the camera model is compared with the record's.
 
     Returns:
         What is wrong, one sentence each; empty if nothing is.
@@ -40,7 +41,7 @@ def validate(path: Path) -> list[str]:
     Raises:
         DatasetError: The file cannot be opened; see ``Dataset``.
     """
-    checks = (_ending, _shot_ids, _columns, _camera, _truth_chain, _shots, _references)
+    checks = (_ending, _shot_ids, _columns, _camera, _truth_chain, _drift, _shots, _references)
     findings: list[str] = []
     with Dataset(path) as dataset:
         for check in checks:
@@ -112,9 +113,11 @@ def _is_covariance(rows: FloatArray) -> NDArray[np.bool_]:
 
 def _truth_chain(dataset: Dataset) -> Iterator[str]:
     record = _calibration(dataset.provenance.calibration_json)
+    # Records before version 3 have the poses at the top.
+    frame, hand_eye = record.get("frame", record), record.get("hand_eye", record)
     try:
-        trs_from_trk = pose_from_xyz_quat(record["trs_from_trk"]["xyz_m_quat_xyzw"])
-        tmac_from_cam = pose_from_xyz_quat(record["tmac_from_cam"]["xyz_m_quat_xyzw"])
+        trs_from_trk = pose_from_xyz_quat(frame["trs_from_trk"]["xyz_m_quat_xyzw"])
+        tmac_from_cam = pose_from_xyz_quat(hand_eye["tmac_from_cam"]["xyz_m_quat_xyzw"])
     except (KeyError, TypeError, ValueError, FrameError):
         return
     measured = dataset.rows(f"{schema.TRACKER}/trk_from_tmac")
@@ -131,11 +134,24 @@ def _truth_chain(dataset: Dataset) -> Iterator[str]:
             )
 
 
+def _drift(dataset: Dataset) -> Iterator[str]:
+    """Find shots whose truth the drift checks do not vouch for; older files have no checks."""
+    checks = dataset.drift_checks
+    if not checks:
+        return
+    counts = [check.n_shots_before for check in checks]
+    if counts != sorted(counts) or counts[-1] > dataset.n_shots:
+        yield f"drift: the checks were after {', '.join(map(str, counts))} shots, which cannot be"
+    yield from doubts(dataset.shot_ids.tolist(), dataset.truth_states)
+
+
 def _camera(dataset: Dataset) -> Iterator[str]:
     record = _calibration(dataset.provenance.calibration_json)
     try:
-        calibrated = CameraModel.from_dict(record["camera"]).to_dict()
-    except (KeyError, TypeError, OverflowError, CalibrationError):
+        camera = record["camera"]
+        # Records before version 3 have the intrinsics here.
+        calibrated = CameraModel.from_dict(camera.get("intrinsics", camera)).to_dict()
+    except (KeyError, TypeError, AttributeError, OverflowError, CalibrationError):
         return
     for name, value in dataset.camera.to_dict().items():
         if value != calibrated[name]:
@@ -154,12 +170,10 @@ def _calibration(text: str) -> dict[str, Any]:
 
 
 def _shots(dataset: Dataset) -> Iterator[str]:
-    values = dataset.values_of_checksum()
-    checksums = dataset.rows(schema.VALUES_CRC32)
+    damaged = dataset.shots_with_damaged_values()
     fractions = dataset.rows(f"{schema.TRUTH}/usable_fraction")
     for i, shot_id in enumerate(dataset.shot_ids):
-        # A slice keeps the stored type, an index would make a Python value of a text.
-        if schema.checksum(rows[i : i + 1] for rows in values) != checksums[i]:
+        if shot_id in damaged:
             yield f"shot {shot_id}: the checksum of its values does not match"
         try:
             image, mask = dataset.image(i), dataset.mask(i)

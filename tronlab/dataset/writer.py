@@ -22,9 +22,10 @@ from tronlab.dataset.admission import (
     check_images,
     check_provenance,
     check_view,
+    drift_values_of,
     values_of,
 )
-from tronlab.dataset.records import Provenance, ReferenceView, ShotRecord
+from tronlab.dataset.records import DriftRecord, Provenance, ReferenceView, ShotRecord
 from tronlab.dataset.skeleton import dataset_at
 from tronlab.errors import DatasetError
 
@@ -55,6 +56,7 @@ class DatasetWriter:
         self._file = _create(path)
         self._shot_ids: set[int] = set()
         self._rows: dict[str, h5py.Dataset] = {}
+        self._reflectors: tuple[str, ...] = ()
         try:
             skeleton.create_skeleton(self._file, provenance)
             self._sync()
@@ -110,6 +112,50 @@ class DatasetWriter:
                 f"{self.path}: the reference views could not be written: {error}"
             ) from error
 
+    def plan_drift_checks(self, reflectors: Sequence[str], n_checks: int) -> None:
+        """Make room for the drift checks; once, before the first of them.
+
+        Raises:
+            DatasetError: Already done, nothing to make room for, or the disk does not take it.
+        """
+        self._check_open()
+        if schema.DRIFT in self._file:
+            raise DatasetError(f"{self.path}: the drift checks are already planned")
+        if not reflectors or n_checks < 1:
+            raise DatasetError(
+                f"{self.path}: {n_checks} drift checks of {len(reflectors)} reflectors are planned,"
+                " at least 1 of each needed"
+            )
+        try:
+            skeleton.create_drift(self._file, tuple(reflectors), n_checks)
+            self._sync()
+        except _WRITE_ERRORS as error:
+            raise DatasetError(
+                f"{self.path}: the drift checks could not be set up: {error}"
+            ) from error
+        self._reflectors = tuple(reflectors)
+
+    def commit_drift(self, check: DriftRecord) -> None:
+        """Store one drift check; when this returns, a kill does not lose it.
+
+        Raises:
+            DatasetError: It was not planned, contradicts the plan, or the disk does not take it.
+        """
+        self._check_open()
+        values = drift_values_of(self.path, check, self._reflectors)
+        row = self._n_rows(schema.N_DRIFT_CHECKS)
+        if row == len(self._row(schema.DRIFT_CRC32)):
+            raise DatasetError(f"{self.path}: one more than the {row} drift checks planned")
+        try:
+            for path, value in values.items():
+                self._row(path)[row] = value
+            self._row(schema.DRIFT_CRC32)[row] = schema.checksum(values.values())
+            self._count(schema.N_DRIFT_CHECKS, row + 1)
+        except _WRITE_ERRORS as error:
+            raise DatasetError(
+                f"{self.path}: a drift check could not be written: {error}"
+            ) from error
+
     def commit(self, shot: ShotRecord) -> None:
         """Store one shot; when this returns, a kill does not lose it.
 
@@ -126,9 +172,7 @@ class DatasetWriter:
             if recorded is None:
                 self._make_room(shot)
             self._write(shot, values)
-            self._file.flush()
-            self._row(schema.N_COMMITTED)[()] = self.n_committed + 1
-            self._file.flush()
+            self._count(schema.N_COMMITTED, self.n_committed + 1)
         except _WRITE_ERRORS as error:
             raise DatasetError(
                 f"{self.path}: shot {shot.shot_id} could not be written: {error};"
@@ -149,9 +193,11 @@ class DatasetWriter:
         try:
             # The file's own count: an interrupted commit may have counted its shot, and then it is
             # complete.
-            n_rows = int(self._row(schema.N_COMMITTED)[()])
+            n_rows = self._n_rows(schema.N_COMMITTED)
             if n_rows < self._provenance.n_shots_planned:
                 skeleton.shrink_rows(self._file, n_rows)
+            if self._reflectors:
+                skeleton.shrink_drift(self._file, self._n_rows(schema.N_DRIFT_CHECKS))
             dataset_at(self._file, "entry/recording/reason")[()] = reason.replace("\0", " ")
             dataset_at(self._file, "entry/end_time")[()] = skeleton.utc_now()
             self._sync()
@@ -211,6 +257,15 @@ class DatasetWriter:
         }
         for path, value in {**values, **checksums}.items():
             self._row(path)[row] = value
+
+    def _count(self, path: str, n: int) -> None:
+        """Set a journal's counter, once its row is in the hands of the operating system."""
+        self._file.flush()
+        self._row(path)[()] = n
+        self._file.flush()
+
+    def _n_rows(self, counter: str) -> int:
+        return int(self._row(counter)[()])
 
     def _row(self, path: str) -> h5py.Dataset:
         if path not in self._rows:

@@ -4,7 +4,7 @@ An entry point is a factory ``factory(context: DeviceContext) -> Device``; nothi
 before its name is asked for.
 """
 
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Collection, Generator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
@@ -80,7 +80,11 @@ class Devices:
 
     def all(self) -> tuple[Device, ...]:
         """Give every device."""
-        return self.robot, self.tracker, self.camera, self.room, self.operator
+        return self.of(KINDS)
+
+    def of(self, kinds: Collection[str]) -> tuple[Device, ...]:
+        """Give the devices of some kinds, in the order of ``KINDS``."""
+        return tuple(getattr(self, kind) for kind in KINDS if kind in kinds)
 
 
 def known_drivers() -> dict[str, EntryPoint]:
@@ -114,15 +118,16 @@ def make_device(driver: str, kind: str, context: DeviceContext) -> Device:
 
 
 @contextmanager
-def connected(devices: Devices) -> Generator[Devices]:
-    """Connect every device, and close all of them at the end.
+def connected(devices: Devices, kinds: Collection[str] = tuple(KINDS)) -> Generator[Devices]:
+    """Connect the devices of some kinds, by default every one, and close them at the end.
 
     Raises:
         ExceptionGroup: Of every device that failed to connect, not only the first.
     """
     with ExitStack() as stack:
         failures: list[TronlabError] = []
-        for device in devices.all():
+        needed = devices.of(kinds)
+        for device in needed:
             stack.callback(device.close)
             try:
                 device.connect()
@@ -130,6 +135,6 @@ def connected(devices: Devices) -> Generator[Devices]:
                 failures.append(error)
         if failures:
             raise ExceptionGroup(
-                f"{len(failures)} of {len(devices.all())} devices failed to connect", failures
+                f"{len(failures)} of {len(needed)} devices failed to connect", failures
             )
         yield devices

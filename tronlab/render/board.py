@@ -1,30 +1,34 @@
 # pyright: basic
 # ruff: noqa: PLR0917 - kernels work on plain numbers
-"""A textured rectangle, such as a calibration board, as a camera sees it."""
+"""A textured rectangle, flat or bowed, such as a calibration board, as a camera sees it."""
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from tronlab.geometry.camera import CameraModel
+from tronlab.render.bow import FLAT, Bow
 from tronlab.render.rays import centre_rays, subpixel_rays
 from tronlab.render.renderer import RaysPerPixel, RenderError
 from tronlab.terrain.kernels import compiled, n_cores, run_interleaved
 
 
-def render_plane(
+def render_board(
     texture: NDArray[np.uint8],
     texel_m: float,
     camera: CameraModel,
     trs_from_board: RigidTransform,
     trs_from_cam: RigidTransform,
     rays_per_pixel: RaysPerPixel = 1,
+    *,
+    bow: Bow = FLAT,
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
     """Render a textured rectangle; only its printed side is seen.
 
     The board's x runs along the texture's columns, y down its rows, z away from who reads it; its
-    origin is the outer corner of the top left texel. A ray takes the mean of the texture over the
-    box around its footprint, so that edges are smooth and stay where they are.
+    origin is the outer corner of the top left texel. A ray meets the bowed surface; the camera must
+    be on the printed side of the plane. It takes the mean of the texture over the box around its
+    footprint, so that edges are smooth and stay where they are.
 
     Args:
         texture: Grey levels, shape (h, w); 0 is albedo 0, 255 albedo 1.
@@ -33,6 +37,7 @@ def render_plane(
         trs_from_board: Where the board is.
         trs_from_cam: Where the camera is.
         rays_per_pixel: 1 or 4.
+        bow: Small against the board, in the frame of the texture.
 
     Returns:
         Albedo, shape (rows, columns), 0 to 1 and 0 where the board is not seen; and whether the
@@ -57,6 +62,7 @@ def render_plane(
         _render_rows,
         _summed(texture),
         texel_m,
+        bow.below(board_from_cam.translation),
         np.ascontiguousarray(board_from_cam.rotation.as_matrix()),
         np.ascontiguousarray(board_from_cam.translation),
         centres,
@@ -76,35 +82,53 @@ def _summed(texture: NDArray[np.uint8]) -> NDArray[np.float64]:
 
 
 @compiled
-def _render_rows(summed, texel, rotation, eye, centres, rays, albedo, is_seen, part, n_parts):
+def _render_rows(
+    summed, texel, surface, rotation, eye, centres, rays, albedo, is_seen, part, n_parts
+):
     """Render every n_parts-th row."""
     n_rows, n_columns = albedo.shape
     n_rays = rays.shape[0]
     size = 1.0 / np.sqrt(n_rays)
     for v in range(part, n_rows, n_parts):
         for u in range(n_columns):
-            x, y, _ = _texel_at(rotation, eye, texel, centres[0, v, u])
+            x, y, _ = _texel_at(surface, rotation, eye, texel, centres[0, v, u])
             is_seen[v, u] = _is_inside(summed, x, y)
             total = 0.0
             for k in range(n_rays):
-                x, y, depth = _texel_at(rotation, eye, texel, rays[k, v, u])
-                if depth <= 0.0:
+                x, y, depth = _texel_at(surface, rotation, eye, texel, rays[k, v, u])
+                if not depth > 0.0:
                     continue
-                half_x, half_y = _half_footprint(rotation, eye, texel, rays[k], v, u)
+                half_x, half_y = _half_footprint(surface, rotation, eye, texel, rays[k], v, u)
                 total += _mean(summed, x, y, half_x * size, half_y * size)
             albedo[v, u] = total / n_rays
 
 
 @compiled
-def _texel_at(rotation, eye, texel, ray):
-    """Give place on the board in texels and depth; a depth of -1 means the board is not there."""
+def _texel_at(surface, rotation, eye, texel, ray):
+    """Give place on the board in texels and depth; NaN where the board is not."""
+    right = rotation[0, 0] * ray[0] + rotation[0, 1] * ray[1] + rotation[0, 2]
+    down = rotation[1, 0] * ray[0] + rotation[1, 1] * ray[1] + rotation[1, 2]
     fall = rotation[2, 0] * ray[0] + rotation[2, 1] * ray[1] + rotation[2, 2]
-    if not (eye[2] < 0.0 and fall > 0.0):
-        return np.nan, np.nan, -1.0
-    depth = -eye[2] / fall
-    x = eye[0] + depth * (rotation[0, 0] * ray[0] + rotation[0, 1] * ray[1] + rotation[0, 2])
-    y = eye[1] + depth * (rotation[1, 0] * ray[0] + rotation[1, 1] * ray[1] + rotation[1, 2])
+    depth = _depth(surface, eye, right, down, fall)
+    x, y = eye[0] + depth * right, eye[1] + depth * down
     return x / texel, y / texel, depth
+
+
+@compiled
+def _depth(surface, eye, right, down, fall):
+    """Give where a ray goes through the surface from its printed side; NaN if nowhere ahead.
+
+    How far the ray is behind the surface is ``c + b t - bend t^2`` at depth t. The root where that
+    grows is written so that a flat surface gives exactly -c / b.
+    """
+    if not (eye[2] < 0.0 and fall > 0.0):
+        return np.nan
+    bend = surface[3] * right * right + surface[4] * right * down + surface[5] * down * down
+    b = fall - (surface[1] * right + surface[2] * down)
+    c = eye[2] - surface[0]
+    below = b + np.sqrt(b * b + 4.0 * bend * c)
+    depth = -2.0 * c / below
+    return depth if below > 0.0 and depth > 0.0 else np.nan
 
 
 @compiled
@@ -113,15 +137,15 @@ def _is_inside(summed, x, y):
 
 
 @compiled
-def _half_footprint(rotation, eye, texel, rays, v, u):
+def _half_footprint(surface, rotation, eye, texel, rays, v, u):
     """Give half the extent of a whole pixel's footprint along the board's axes, in texels."""
     n_rows, n_columns, _ = rays.shape
     left, right = max(u - 1, 0), min(u + 1, n_columns - 1)
     up, down = max(v - 1, 0), min(v + 1, n_rows - 1)
-    x0, y0, _ = _texel_at(rotation, eye, texel, rays[v, left])
-    x1, y1, _ = _texel_at(rotation, eye, texel, rays[v, right])
-    x2, y2, _ = _texel_at(rotation, eye, texel, rays[up, u])
-    x3, y3, _ = _texel_at(rotation, eye, texel, rays[down, u])
+    x0, y0, _ = _texel_at(surface, rotation, eye, texel, rays[v, left])
+    x1, y1, _ = _texel_at(surface, rotation, eye, texel, rays[v, right])
+    x2, y2, _ = _texel_at(surface, rotation, eye, texel, rays[up, u])
+    x3, y3, _ = _texel_at(surface, rotation, eye, texel, rays[down, u])
     across = max(right - left, 1)
     along = max(down - up, 1)
     half_x = 0.5 * (abs(x1 - x0) / across + abs(x3 - x2) / along)

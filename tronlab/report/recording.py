@@ -1,13 +1,14 @@
 """The dataset behind the scores. It may have moved or be damaged: the scores still stand."""
 
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tronlab.dataset.drift import doubts
 from tronlab.dataset.reader import Dataset
 from tronlab.dataset.records import Provenance
 from tronlab.dataset.schema import TRUTH
@@ -109,10 +110,36 @@ def _facts(dataset: Dataset) -> tuple[tuple[str, str], ...]:
         ("status of the recording", status),
         ("shots recorded", f"{dataset.n_shots} of {provenance.n_shots_planned} planned"),
         ("reference views", str(dataset.n_references)),
+        *_trust(dataset),
         ("plan, SHA-256", provenance.plan_sha256),
         *((f"device {name}", text) for name, text in sorted(provenance.devices.items())),
         *((f"recorded with {name}", text) for name, text in sorted(provenance.software.items())),
     )
+
+
+def _trust(dataset: Dataset) -> Iterator[tuple[str, str]]:
+    """Give what is known about whether truth can be trusted."""
+    checks = dataset.drift_checks
+    if checks:
+        largest = max(checks, key=lambda check: check.max_shift_m)
+        yield (
+            "drift checks",
+            f"{len(checks)}; the model seemed to move by {largest.max_shift_m * 1e3:.3f} mm at"
+            f" most, allowed are {largest.limit_m * 1e3:g} mm",
+        )
+        doubted = doubts(dataset.shot_ids.tolist(), dataset.truth_states)
+        yield "truth", "; ".join(doubted) or "no shot is in doubt"
+    else:
+        yield "drift checks", "none: the truth of no shot is vouched for"
+    provenance = dataset.provenance
+    for text in provenance.accepted:
+        yield "accepted", text
+    if provenance.recomputation is not None:
+        yield (
+            "truth recomputed",
+            f"{provenance.recomputation.time_utc} from {provenance.recomputation.dataset_name}"
+            f" (SHA-256 {provenance.recomputation.dataset_sha256})",
+        )
 
 
 def _documents(provenance: Provenance) -> dict[str, str]:

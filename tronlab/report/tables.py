@@ -147,6 +147,7 @@ def worst_shots_table(scores: pd.DataFrame, reasons: Reasons) -> Table:
         Column(_ROTATION, "rotation [deg]", ".3g"),
         Column("n_matches", "matches"),
         Column("n_inliers", "inliers"),
+        Column("truth_state", "truth"),
         Column("reason", "why no pose"),
     )
     rows: list[tuple[Cell, ...]] = []
@@ -171,6 +172,7 @@ def shots_table(scores: pd.DataFrame, core: str, reasons: Reasons) -> Table:
         Column(_ROTATION, "rotation [deg]", ".3g"),
         *(Column(name, name[2:]) for name in _COUNTS),
         *(Column(name, f"{name[5:-2]} [s]", ".3g") for name in _TIMES),
+        Column("truth_state", "truth"),
         Column("reason", "why no pose"),
     )
     rows = _rows(_with_reason(scores[scores["core"] == core], reasons), columns)

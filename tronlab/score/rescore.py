@@ -15,6 +15,7 @@ import pandas as pd
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
+from tronlab.dataset.drift import doubts
 from tronlab.dataset.reader import Dataset
 from tronlab.errors import ScoreError, TronlabError
 from tronlab.nav.cores import BUILT_IN_CORES, known_cores
@@ -122,6 +123,9 @@ def _job(
         n_planned = dataset.provenance.n_shots_planned
         if dataset.n_shots < n_planned:
             say(f"{dataset_path}: is incomplete: {dataset.n_shots} of {n_planned} shots")
+        if dataset.drift_checks:
+            for doubt in doubts(dataset.shot_ids.tolist(), dataset.truth_states):
+                say(f"{dataset_path}: {doubt}; scored and flagged like that")
         names = tuple(dict.fromkeys(cores or campaign_cores(dataset.provenance.campaign_yaml)))
         ranges_m = [truth.range_los_m for truth in dataset.truths()]
         range_los_m = dict(zip(dataset.shot_ids.tolist(), ranges_m, strict=True))

@@ -78,6 +78,7 @@ def score_shot(dataset: Dataset, i: int, *, cores: Mapping[str, NavigationCore])
     A shot whose image is damaged is an error of every core, and the other shots are still scored.
     """
     truth, shot_id = dataset.truth(i), int(dataset.shot_ids[i])
+    truth_state = dataset.truth_states[i]
     try:
         image, mask = dataset.image(i), dataset.mask(i)
     except IntegrityError as error:
@@ -86,7 +87,12 @@ def score_shot(dataset: Dataset, i: int, *, cores: Mapping[str, NavigationCore])
     else:
         results = {name: locate(core, image, mask) for name, core in cores.items()}
     return [
-        CoreScore(name, shot_id, score_row(name, shot_id, truth=truth, result=result), result)
+        CoreScore(
+            name,
+            shot_id,
+            score_row(name, shot_id, truth=truth, truth_state=truth_state, result=result),
+            result,
+        )
         for name, result in results.items()
     ]
 

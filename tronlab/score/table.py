@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 
 from tronlab.dataset.records import Truth
+from tronlab.dataset.schema import TruthState
 from tronlab.nav.core import NavigationResult
 from tronlab.score.metrics import pose_errors
 
@@ -33,13 +34,16 @@ COLUMNS = {
     "time_detect_s": "float64",
     "time_match_s": "float64",
     "time_pose_s": "float64",
+    "truth_state": "str",
 }
 """Columns of ``scores.csv`` in their order, and the type of each."""
 
 Row = dict[str, str | int | float]
 
 
-def score_row(core: str, shot_id: int, *, truth: Truth, result: NavigationResult) -> Row:
+def score_row(
+    core: str, shot_id: int, *, truth: Truth, truth_state: TruthState, result: NavigationResult
+) -> Row:
     """Give the row of one shot and core; without a pose its error cells stay empty."""
     row: Row = {
         "core": core,
@@ -47,6 +51,7 @@ def score_row(core: str, shot_id: int, *, truth: Truth, result: NavigationResult
         "status": result.status,
         "range_los_m": truth.range_los_m,
         "usable_fraction": truth.usable_fraction,
+        "truth_state": truth_state,
         "n_features": result.n_features,
         "n_matches": result.n_matches,
         "n_inliers": result.n_inliers,

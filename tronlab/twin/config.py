@@ -10,7 +10,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from tronlab.devices.laboratory import Positive
+from tronlab.devices.accuracy import StatedAccuracy
+from tronlab.devices.laboratory import Positive, Vector
 from tronlab.render.renderer import Photometry, RaysPerPixel
 from tronlab.yaml_models import Model
 
@@ -18,7 +19,7 @@ NotNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Five = tuple[float, float, float, float, float]
 
-ErrorKind = Literal["tracking_lost", "timeout", "fault"]
+ErrorKind = Literal["tracking_lost", "timeout", "fault", "moved"]
 
 CALLS: dict[str, tuple[str, ...]] = {
     "robot": ("connect", "identify", "check", "move", "read", "stop"),
@@ -75,6 +76,10 @@ class RobotConfig(Model):
     rail_speed_m_per_s: Positive = 0.5
     rail_deviation: Deviation = Deviation(sigma_m=0.003, sigma_deg=0.1)
     """True place of the rail against the nominal one."""
+    rail_axis_sigma_deg: NotNegative = 0.05
+    """Of the two angles by which the way of the rail differs from the x-axis of the base."""
+    rail_scale_sigma: NotNegative = 1e-4
+    """Of the rail's encoder, relative."""
 
 
 class MountingConfig(Model):
@@ -84,24 +89,16 @@ class MountingConfig(Model):
     tmac_deviation: Deviation = Deviation(sigma_m=0.003, sigma_deg=0.3)
 
 
-class TrackerConfig(Model):
-    """The laser tracker, by its stated accuracy.
-
-    A stated accuracy is taken as one sigma of the mean of a stationary measurement: it covers
-    air, levelling and the target's own calibration, which a longer window does not average away,
-    so ``window_s`` does not change it.
-    """
+class TrackerConfig(StatedAccuracy):
+    """The laser tracker: its errors are those of its stated accuracy, however long the window."""
 
     distance_range_m: tuple[Positive, Positive] = (3.0, 6.0)
     """The tracker stands at a distance from the model's centre drawn from this range."""
-    coordinate_sigma_m: NotNegative = 15e-6
-    """Of each coordinate, at no distance; points and T-MAC alike."""
-    coordinate_sigma_m_per_m: NotNegative = 6e-6
-    """Added per metre of distance."""
-    rotation_sigma_deg: NotNegative = 0.01
-    """Of the T-MAC's rotation in all: each component of the rotation vector has 1/sqrt(3) of it."""
     reflector_deviation_m: NotNegative = 0.001
     """Reflectors stand up to this far from nominal, along each axis the frame leaves free."""
+    survey_sigma_m: NotNegative = 5e-6
+    """Instead of this, if more than three reflectors make nominal places count: how far each
+    coordinate lies from what a survey found."""
 
     @model_validator(mode="after")
     def _range_is_ordered(self) -> "TrackerConfig":
@@ -157,6 +154,8 @@ class BoardConfig(Model):
 
     white_albedo: Fraction = 0.6
     black_albedo: Fraction = 0.03
+    bow_sigma_m: NotNegative = 2e-4
+    """Of each term by which the board departs from a plane: sag along x, sag along y, twist."""
     placement: Deviation = Deviation(sigma_m=0.005, sigma_deg=0.5)
     """A person puts it there by eye, anew each time (drawn from the seed of the run)."""
 
@@ -171,7 +170,10 @@ class RoomConfig(Model):
 
 
 class FaultSpec(Model):
-    """A fault that strikes the n-th call of a device's method; the call does nothing then."""
+    """A fault that strikes the n-th call of a device's method; the call does nothing then.
+
+    Only a tracker that was ``moved`` measures all the same, from where it stands now.
+    """
 
     device: Literal["robot", "tracker", "camera", "room", "operator"]
     call: str
@@ -181,6 +183,8 @@ class FaultSpec(Model):
     times: Annotated[int, Field(ge=1)] = 1
     """How many calls in a row it strikes."""
     error: ErrorKind
+    moved_m: Vector = (0.0, 0.0, 0.0)
+    """For ``moved``: how far, in trs; anew at every call it strikes."""
 
     @model_validator(mode="after")
     def _device_has_the_call(self) -> "FaultSpec":
@@ -189,6 +193,10 @@ class FaultSpec(Model):
             raise ValueError(f"call: {self.device} has no '{self.call}'; it has: {allowed}")
         if self.error == "tracking_lost" and not self.call.startswith("measure_"):
             raise ValueError("error: tracking_lost strikes measure_point and measure_pose only")
+        if self.error == "moved" and self.device != "tracker":
+            raise ValueError("error: only the tracker can be moved")
+        if (self.error == "moved") != any(self.moved_m):
+            raise ValueError("moved_m: says how far for error: moved, and for no other")
         return self
 
 

@@ -1,7 +1,9 @@
 """Scripted faults: a device fails at the call the rig file names."""
 
 from collections import Counter
+from collections.abc import Callable
 
+from tronlab.devices.laboratory import Vector
 from tronlab.errors import DeviceFaultError, DeviceTimeoutError, TrackingLostError
 from tronlab.twin.config import FaultSpec
 
@@ -12,8 +14,11 @@ FAULT_CODE = 900
 class FaultScript:
     """Counts the calls of every device and strikes when one's turn has come."""
 
-    def __init__(self, faults: tuple[FaultSpec, ...]) -> None:
+    def __init__(
+        self, faults: tuple[FaultSpec, ...], *, move_tracker: Callable[[Vector], None]
+    ) -> None:
         self._faults = faults
+        self._move_tracker = move_tracker
         self._calls: Counter[tuple[str, str]] = Counter()
 
     def count(self, device: str, call: str, *, name: str) -> None:
@@ -28,7 +33,11 @@ class FaultScript:
         n = self._calls[device, call]
         for fault in self._faults:
             is_meant = (fault.device, fault.call) == (device, call)
-            if is_meant and fault.at <= n < fault.at + fault.times:
+            if not is_meant or not fault.at <= n < fault.at + fault.times:
+                continue
+            if fault.error == "moved":
+                self._move_tracker(fault.moved_m)
+            else:
                 _strike(fault, f"{call}: %s (scripted, call {n})", name)
 
 

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import IO
 
 from tronlab.errors import DeviceError, DeviceTimeoutError, ProtocolError
@@ -132,6 +133,7 @@ class Fleet:
         world: tuple[str, int],
         seed: int = 0,
         session: str = "run",
+        more_arguments: Mapping[str, Sequence[str]] = MappingProxyType({}),
         announce: Callable[[str], None] = lambda text: None,
     ) -> None:
         """Start them and wait until all are ready.
@@ -142,6 +144,7 @@ class Fleet:
             world: Host and port of the state they share.
             seed: Of measurement noise.
             session: What they run for; see ``DeviceContext``.
+            more_arguments: Of the command line, by kind of device.
             announce: Told of each that is started.
 
         Raises:
@@ -158,7 +161,8 @@ class Fleet:
         with self._stack:
             for kind, module in modules.items():
                 announce(f"{kind}: python -m {module}")
-                simulator = Simulator(kind, module, arguments)
+                more = more_arguments.get(kind, ())
+                simulator = Simulator(kind, module, (*arguments, *more))
                 self._stack.callback(simulator.close)
                 self.simulators.append(simulator)
             self._stack.callback(self._ask_all_to_end)

@@ -54,31 +54,31 @@ class TrackerOptics:
     @property
     def reflectors(self) -> dict[str, FloatArray]:
         """Get the true centre of every reflector by name, shape (3,), frame trk."""
-        laboratory = self._world.laboratory
+        truth = self._world.truth
         return {
-            name: laboratory.trk_from_trs.apply(p_trs)
-            for name, p_trs in laboratory.p_targets_trs_m.items()
+            name: truth.trk_from_trs.apply(p_trs)
+            for name, p_trs in truth.laboratory.p_targets_trs_m.items()
         }
 
     def point(self, name: str) -> PointReading:
         """Measure a reflector now."""
         p_trk = self.reflectors[name]
-        sigma_m = self._sigma_m(p_trk)
+        covariance = self._world.config.tracker.point_covariance(p_trk)
         return PointReading(
             target=name,
-            p_trk_m=p_trk + sigma_m * self._rng.standard_normal(3),
-            covariance_m2=sigma_m**2 * np.eye(3),
+            p_trk_m=p_trk + np.sqrt(np.diag(covariance)) * self._rng.standard_normal(3),
+            covariance_m2=covariance,
             time_s=self._world.clock.now_s,
         )
 
     def pose(self) -> PoseReading:
         """Measure the T-MAC now."""
-        trk_from_tmac = self._world.laboratory.trk_from_trs * self._world.truth.trs_from_tmac
-        rotation_sigma = np.radians(self._world.config.tracker.rotation_sigma_deg) / np.sqrt(3.0)
-        sigma = np.repeat([rotation_sigma, self._sigma_m(trk_from_tmac.translation)], 3)
+        trk_from_tmac = self._world.truth.trk_from_tmac
+        covariance = self._world.config.tracker.pose_covariance(trk_from_tmac.translation)
+        error = np.sqrt(np.diag(covariance)) * self._rng.standard_normal(6)
         return PoseReading(
-            trk_from_tmac=perturb(trk_from_tmac, sigma * self._rng.standard_normal(6)),
-            covariance=np.diag(sigma**2),
+            trk_from_tmac=perturb(trk_from_tmac, error),
+            covariance=covariance,
             time_s=self._world.clock.now_s,
             air=self.air(),
         )
@@ -90,12 +90,6 @@ class TrackerOptics:
             temperature_k=state.air_temperature_k,
             pressure_pa=state.air_pressure_pa,
             relative_humidity=state.relative_humidity,
-        )
-
-    def _sigma_m(self, p_trk: FloatArray) -> float:
-        config = self._world.config.tracker
-        return config.coordinate_sigma_m + config.coordinate_sigma_m_per_m * float(
-            np.linalg.norm(p_trk)
         )
 
 

@@ -61,6 +61,8 @@ class WorldState:
     air_temperature_k: float
     air_pressure_pa: float
     relative_humidity: float
+    tracker_shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """How far the tracker was moved since the laboratory was built, in trs."""
 
     @property
     def view(self) -> tuple[object, ...]:
@@ -89,6 +91,8 @@ def value_from_json(key: str, value: Any) -> Any:
         return RobotState(float(value["rail_m"]), tuple(value["base_from_flange"]))  # pyright: ignore[reportArgumentType]  # seven of them, as as_json wrote
     if key == "trs_from_board":
         return None if value is None else tuple(value)
+    if key == "tracker_shift_m":
+        return tuple(value)
     return value
 
 

@@ -9,11 +9,18 @@ import numpy as np
 from numpy.random import Generator, SeedSequence
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from tronlab.devices.laboratory import CameraSpec, LaboratorySpec, ReflectorsSpec
+from tronlab.devices.laboratory import CameraSpec, LaboratorySpec, LampSpec, ReflectorsSpec
 from tronlab.geometry.camera import CameraModel
 from tronlab.geometry.poses import FloatArray, unit
 from tronlab.geometry.uncertainty import perturb
-from tronlab.twin.config import Deviation, LensConfig, TrueLampConfig, WorldConfig
+from tronlab.twin.config import (
+    Deviation,
+    LensConfig,
+    RobotConfig,
+    TrackerConfig,
+    TrueLampConfig,
+    WorldConfig,
+)
 
 LAMP_TARGET = "lamp"
 """Name of the reflector on the lamp's housing."""
@@ -24,7 +31,10 @@ class TrueLaboratory:
     """What does not change while the laboratory is used."""
 
     trk_from_trs: RigidTransform
+    """Before anyone moved the tracker."""
     trs_from_rail: RigidTransform
+    rail_axis: FloatArray
+    """How far the base moves for one metre of the rail's encoder, shape (3,), frame rail."""
     flange_from_cam: RigidTransform
     flange_from_tmac: RigidTransform
     sensor: CameraModel
@@ -35,6 +45,8 @@ class TrueLaboratory:
     """Centre of every reflector by name, shape (3,), frame trs."""
     p_light_trs_m: FloatArray
     """Centre of the light, shape (3,)."""
+    board_bow_m: FloatArray
+    """Sag along x, sag along y and twist of the calibration board, shape (3,); see ``board``."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,6 +58,8 @@ class Truth:
     trs_from_board: RigidTransform | None
     """None while no board is placed."""
     is_lamp_on: bool
+    trk_from_trs: RigidTransform
+    """Where the tracker stands now."""
 
     @property
     def trs_from_cam(self) -> RigidTransform:
@@ -56,6 +70,11 @@ class Truth:
     def trs_from_tmac(self) -> RigidTransform:
         """Get the T-MAC's pose."""
         return self.trs_from_flange * self.laboratory.flange_from_tmac
+
+    @property
+    def trk_from_tmac(self) -> RigidTransform:
+        """Get the T-MAC's pose as an exact tracker would measure it."""
+        return self.trk_from_trs * self.trs_from_tmac
 
 
 def named_rng(seed: int, name: str) -> Generator:
@@ -75,16 +94,17 @@ def build_laboratory(spec: LaboratorySpec, config: WorldConfig) -> TrueLaborator
     p_light = np.array(spec.lamp.p_trs_m) + config.lamp.placement_sigma_m * named_rng(
         seed, "light"
     ).standard_normal(3)
-    p_targets = _true_reflectors(
-        spec.reflectors, config.tracker.reflector_deviation_m, named_rng(seed, "reflectors")
-    )
+    p_targets = _true_reflectors(spec.reflectors, config.tracker, seed)
     sensor = _true_sensor(spec.camera, config.lens, named_rng(seed, "lens"))
-    p_targets[LAMP_TARGET] = _housing_target(p_light, config.lamp, named_rng(seed, "housing"))
+    p_targets[LAMP_TARGET] = _housing_target(
+        p_light, spec.lamp, config.lamp, named_rng(seed, "housing")
+    )
     return TrueLaboratory(
         trk_from_trs=_place_tracker(spec, config, named_rng(seed, "tracker")).inv(),
         trs_from_rail=deviate(
             mounting.trs_from_rail.pose, config.robot.rail_deviation, named_rng(seed, "rail")
         ),
+        rail_axis=_true_rail_axis(config.robot, named_rng(seed, "rail axis")),
         flange_from_cam=deviate(
             mounting.flange_from_cam.pose,
             config.mounting.camera_deviation,
@@ -99,6 +119,7 @@ def build_laboratory(spec: LaboratorySpec, config: WorldConfig) -> TrueLaborator
         camera=read_out(sensor, spec.camera),
         p_targets_trs_m=p_targets,
         p_light_trs_m=p_light,
+        board_bow_m=config.board.bow_sigma_m * named_rng(seed, "board bow").standard_normal(3),
     )
 
 
@@ -117,19 +138,48 @@ def serial_number(spec: LaboratorySpec, config: WorldConfig) -> str:
 
 
 def _true_reflectors(
-    spec: ReflectorsSpec, deviation_m: float, rng: Generator
+    spec: ReflectorsSpec, config: TrackerConfig, seed: int
 ) -> dict[str, FloatArray]:
-    """Place the reflectors; F_TRS is defined by them, so three coordinates are free and no more."""
-    down, right_x, right_y = deviation_m * rng.uniform(-1.0, 1.0, 3)
+    """Place the centres of the reflectors.
+
+    F_TRS is defined by three of them, so three of their coordinates are free and no more.
+    """
+    down, right_x, right_y = _survey_errors(spec, config, named_rng(seed, "reflectors"))
+    deviations = {
+        "bottom_left": np.array([down, 0.0, 0.0]),
+        "top_right": np.array([right_x, right_y, 0.0]),
+    }
+    for name in spec.more_m:
+        errors = named_rng(seed, f"reflector {name}").standard_normal(3)
+        deviations[name] = config.survey_sigma_m * errors
     return {
-        "top_left": np.zeros(3),
-        "bottom_left": np.array(spec.bottom_left_m) + np.array([down, 0.0, 0.0]),
-        "top_right": np.array(spec.top_right_m) + np.array([right_x, right_y, 0.0]),
+        name: np.array(p_mark)
+        + deviations.get(name, np.zeros(3))
+        + np.array([0.0, 0.0, spec.centre_heights_m[name]])
+        for name, p_mark in spec.points_m.items()
     }
 
 
-def _housing_target(p_light: FloatArray, config: TrueLampConfig, rng: Generator) -> FloatArray:
-    return p_light + config.housing_offset_m * unit(rng.standard_normal(3))
+def _survey_errors(spec: ReflectorsSpec, config: TrackerConfig, rng: Generator) -> FloatArray:
+    """Give by how much the free coordinates of the three reflectors differ from nominal."""
+    if spec.more_m:
+        return config.survey_sigma_m * rng.standard_normal(3)
+    return config.reflector_deviation_m * rng.uniform(-1.0, 1.0, 3)
+
+
+def _true_rail_axis(config: RobotConfig, rng: Generator) -> FloatArray:
+    about_y, about_z, scale = rng.standard_normal(3)
+    turn = np.radians(config.rail_axis_sigma_deg) * np.array([0.0, about_y, about_z])
+    axis = Rotation.from_rotvec(turn).apply([1.0, 0.0, 0.0])
+    return (1.0 + config.rail_scale_sigma * scale) * axis
+
+
+def _housing_target(
+    p_light: FloatArray, spec: LampSpec, config: TrueLampConfig, rng: Generator
+) -> FloatArray:
+    """Place the reflector off where the rig file says by a distance nobody has measured."""
+    unknown = config.housing_offset_m * unit(rng.standard_normal(3))
+    return p_light - np.array(spec.light_from_reflector_m) + unknown
 
 
 def _place_tracker(spec: LaboratorySpec, config: WorldConfig, rng: Generator) -> RigidTransform:

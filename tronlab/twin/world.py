@@ -10,14 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from tronlab.devices.laboratory import CameraSpec, LaboratorySpec
+from tronlab.devices.laboratory import CameraSpec, LaboratorySpec, Vector
 from tronlab.devices.readings import RobotTarget
 from tronlab.geometry.camera import CameraModel
 from tronlab.geometry.poses import FloatArray, pose_along_boresight, pose_from_xyz_quat
-from tronlab.render.rays import centre_rays
 from tronlab.render.renderer import Lamp, Renderer
 from tronlab.terrain.heightmap import HeightMap
-from tronlab.twin.board import board_from_print, light_on_board, print_board
+from tronlab.twin.board import board_from_print, bow_of_print, light_on_board, print_board
 from tronlab.twin.config import WorldConfig
 from tronlab.twin.faults import FaultScript
 from tronlab.twin.state import LocalState, RobotState, StateStore, WorldState, numbers_of
@@ -102,7 +101,7 @@ class World:
         self.config = setup.config
         self.spec = setup.laboratory
         self.clock: Clock = clock or SimulatedClock(setup.config.start_time_s)
-        self.faults = FaultScript(setup.config.faults)
+        self.faults = FaultScript(setup.config.faults, move_tracker=self.move_tracker)
         self.laboratory: TrueLaboratory = build_laboratory(self.spec, self.config)
         self.serial = serial_number(self.spec, self.config)
         self.state: StateStore = state or LocalState(initial_state(setup))
@@ -125,6 +124,11 @@ class World:
     def stand_robot(self, target: RobotTarget, *, actual: RobotTarget) -> None:
         """Let the robot stand at ``actual`` while its encoders say ``target``."""
         self.state.change(robot_encoders=RobotState.at(target), robot_actual=RobotState.at(actual))
+
+    def move_tracker(self, shift_m: Vector) -> None:
+        """Push the tracker, as someone might who trips over its stand; shift in trs."""
+        x, y, z = np.array(self.state.read().tracker_shift_m) + np.array(shift_m)
+        self.state.change(tracker_shift_m=(float(x), float(y), float(z)))
 
     def place_board(self, trs_from_board: RigidTransform | None) -> None:
         """Put the board there, or take it away."""
@@ -170,7 +174,12 @@ class World:
             trs_from_flange=self._flange(state.robot_actual.target),
             trs_from_board=None if board is None else pose_from_xyz_quat(board),
             is_lamp_on=state.lamp_level > 0.0,
+            trk_from_trs=self._trk_from_trs(state),
         )
+
+    def _trk_from_trs(self, state: WorldState) -> RigidTransform:
+        moved_back = RigidTransform.from_translation(-np.array(state.tracker_shift_m))
+        return self.laboratory.trk_from_trs * moved_back
 
     def _ready_renderer(self) -> Renderer:
         if self._renderer is None:
@@ -178,7 +187,7 @@ class World:
         return self._renderer
 
     def _flange(self, robot: RobotTarget) -> RigidTransform:
-        rail_from_base = RigidTransform.from_translation([robot.rail_m, 0.0, 0.0])
+        rail_from_base = RigidTransform.from_translation(robot.rail_m * self.laboratory.rail_axis)
         return self.laboratory.trs_from_rail * rail_from_base * robot.base_from_flange
 
     def _render(self, camera: CameraModel, truth: Truth, lamp_level: float) -> NDArray[np.float32]:
@@ -207,17 +216,19 @@ class World:
         self, camera: CameraModel, trs_from_board: RigidTransform, trs_from_cam: RigidTransform
     ) -> tuple[NDArray[np.bool_], FloatArray]:
         """Give where the board is seen, (rows, columns), and its radiance there, (n,)."""
-        from tronlab.render.board import render_plane
+        from tronlab.render.board import render_board
+        from tronlab.render.rays import centre_rays
 
         spec, config = self.spec.board, self.config.board
         texture, texel_m = print_board(spec)
-        whiteness, is_board = render_plane(
+        whiteness, is_board = render_board(
             texture,
             texel_m,
             camera,
             trs_from_board * board_from_print(spec),
             trs_from_cam,
             self.config.surface.rays_per_pixel,
+            bow=bow_of_print(spec, self.laboratory.board_bow_m),
         )
         albedo = config.black_albedo + (config.white_albedo - config.black_albedo) * whiteness
         rays = centre_rays(camera)[is_board]

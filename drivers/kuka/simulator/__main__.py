@@ -1,7 +1,8 @@
 """Run the simulated robot: ``python -m drivers.kuka.simulator``."""
 
 import argparse
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import Final
 
 from drivers.kuka.options import EkiOptions, KukaOptions
@@ -46,6 +47,23 @@ def _add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--state-port", type=int, help="EthernetKRL port of the state")
     parser.add_argument("--kvp-port", type=int, help="port of the variables")
+    parser.add_argument(
+        "--faster",
+        type=_factor,
+        default=1.0,
+        metavar="FACTOR",
+        help="how many times faster than a KR 16 it moves, to save time (default: 1)",
+    )
+
+
+def _factor(text: str) -> float:
+    try:
+        factor = float(text)
+    except ValueError:
+        factor = math.nan
+    if not 0.0 < factor < math.inf:
+        raise argparse.ArgumentTypeError(f"'{text}' is no positive number")
+    return factor
 
 
 def _serve(simulation: Simulation) -> None:
@@ -128,12 +146,14 @@ def _scene(simulation: Simulation) -> Scene:
 
 
 def _machine(simulation: Simulation, options: KukaOptions | None) -> Machine:
+    kr16 = KR16.faster(simulation.arguments.faster)
     if simulation.world is None or options is None:
-        return KR16
+        return kr16
     ends_mm = sorted(
         options.rail_zero_mm + options.rail_sign * rail_m * 1e3 for rail_m in options.rail_range_m
     )
-    return Machine(
+    return replace(
+        kr16,
         serial=simulation.world.serial,
         rail_range_mm=(ends_mm[0] - _BEYOND_MM, ends_mm[1] + _BEYOND_MM),
         rail_zero_mm=options.rail_zero_mm,

@@ -6,7 +6,7 @@ one of them shows.
 The inverse is the driver's.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -65,6 +65,19 @@ class Machine:
     path_speed_mm_per_s: float = 2000.0
     path_acceleration_mm_per_s2: float = 2300.0
     path_turn_deg_per_s: float = 200.0
+
+    def faster(self, factor: float) -> "Machine":
+        """Give a robot that does every move in so much less time."""
+        return replace(
+            self,
+            axis_speed_deg_per_s=tuple(factor * speed for speed in self.axis_speed_deg_per_s),
+            axis_ramp_s=self.axis_ramp_s / factor,
+            rail_speed_mm_per_s=self.rail_speed_mm_per_s * factor,
+            rail_acceleration_mm_per_s2=self.rail_acceleration_mm_per_s2 * factor**2,
+            path_speed_mm_per_s=self.path_speed_mm_per_s * factor,
+            path_acceleration_mm_per_s2=self.path_acceleration_mm_per_s2 * factor**2,
+            path_turn_deg_per_s=self.path_turn_deg_per_s * factor,
+        )
 
     @property
     def lowest(self) -> FloatArray:

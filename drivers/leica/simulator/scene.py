@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Final, Protocol
 
 import numpy as np
@@ -15,6 +16,10 @@ from tronlab.twin.instruments import TrackerOptics
 from tronlab.twin.world import World
 
 STATION_NAME: Final = "tracker"
+SCATTER_M: Final = 2e-6
+"""How far measurements of the simulated laboratory scatter, each coordinate of a reading's mean."""
+SCATTER_RAD: Final = 1e-5
+"""The same of each component of the rotation vector."""
 
 
 class Scene(Protocol):
@@ -41,11 +46,11 @@ class Scene(Protocol):
         ...
 
     def point(self, name: str) -> PointReading:
-        """Measure a reflector now, with noise."""
+        """Measure a reflector now, with noise; the covariance is that of the scatter alone."""
         ...
 
     def pose(self) -> PoseReading:
-        """Measure the T-MAC now, with noise."""
+        """Measure the T-MAC now, with noise; the covariance is that of the scatter alone."""
         ...
 
     def begin(self, call: str) -> None:
@@ -58,7 +63,7 @@ class Scene(Protocol):
 
 
 class StaticScene:
-    """A small scene that never changes by itself.
+    """A small scene that never changes by itself; its noise is scatter and nothing else.
 
     Args:
         noise: Of the measurements.
@@ -119,11 +124,15 @@ class StaticScene:
 
 
 class WorldScene:
-    """The simulated laboratory that other simulators show too."""
+    """The simulated laboratory that other simulators show too.
+
+    Its stated accuracy makes most of the noise, and like a real tracker it does not report that.
+    """
 
     def __init__(self, world: World, noise: Generator) -> None:
         self._world = world
         self._optics = TrackerOptics(world, noise)
+        self._scatter = noise.spawn(1)[0]
 
     @property
     def serial(self) -> int:
@@ -138,7 +147,7 @@ class WorldScene:
     @property
     def trk_from_tmac(self) -> RigidTransform:
         """Get where the T-MAC truly is now."""
-        return self._world.laboratory.trk_from_trs * self._world.truth.trs_from_tmac
+        return self._world.truth.trk_from_tmac
 
     @property
     def air(self) -> AirReading:
@@ -147,11 +156,22 @@ class WorldScene:
 
     def point(self, name: str) -> PointReading:
         """Measure a reflector now."""
-        return self._optics.point(name)
+        reading = self._optics.point(name)
+        scatter_m = SCATTER_M * self._scatter.standard_normal(3)
+        return replace(
+            reading, p_trk_m=reading.p_trk_m + scatter_m, covariance_m2=SCATTER_M**2 * np.eye(3)
+        )
 
     def pose(self) -> PoseReading:
         """Measure the T-MAC now."""
-        return self._optics.pose()
+        reading = self._optics.pose()
+        sigma = np.repeat([SCATTER_RAD, SCATTER_M], 3)
+        scatter = sigma * self._scatter.standard_normal(6)
+        return replace(
+            reading,
+            trk_from_tmac=perturb(reading.trk_from_tmac, scatter),
+            covariance=np.diag(sigma**2),
+        )
 
     def begin(self, call: str) -> None:
         """Count a call in the world's script."""

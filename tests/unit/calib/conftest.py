@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from tronlab.calib.board import BoardView, corner_points
-from tronlab.calib.bundle import Station
+from tronlab.calib.camera.board import BoardView, corner_points
+from tronlab.calib.hand_eye.bundle import Station
 from tronlab.devices.laboratory import BoardSpec, PoseSpec
 from tronlab.devices.readings import PoseReading
 from tronlab.geometry.camera import CameraModel
@@ -53,14 +53,19 @@ class Scene:
         return [station.reading.trk_from_tmac for station in self.stations]
 
 
-def look_at_board(rng: np.random.Generator, turn: Rotation | None = None) -> RigidTransform:
-    """Give ``cam_from_board`` with the board in view; ``turn`` replaces the random rotation."""
+def look_at_board(
+    rng: np.random.Generator, turn: Rotation | None = None, *, zoom: float = 1.0
+) -> RigidTransform:
+    """Give ``cam_from_board`` with the board in view; ``turn`` replaces the random rotation.
+
+    ``zoom`` is how much longer the lens is than that of ``CAMERA``.
+    """
     centre = np.array([BOARD.columns, BOARD.rows, 0.0]) * BOARD.square_m / 2
     if turn is None:
         tilt = Rotation.from_euler("xy", rng.uniform(-0.5, 0.5, 2))
         turn = tilt * Rotation.from_euler("z", rng.uniform(-1.4, 1.4))
-    distance = rng.uniform(0.5, 0.9)
-    aim = distance * np.array([*rng.uniform(-0.35, 0.35, 2), 1.0])
+    distance = zoom * rng.uniform(0.5, 0.9)
+    aim = distance * np.array([*(rng.uniform(-0.35, 0.35, 2) / zoom), 1.0])
     return RigidTransform.from_components(aim - turn.apply(centre), turn)
 
 

@@ -10,7 +10,7 @@ import pytest
 from records import make_record
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from tronlab.calib.board import BoardView
+from tronlab.calib.camera.board import BoardView
 from tronlab.calib.inputs import (
     CameraValues,
     FrameInput,

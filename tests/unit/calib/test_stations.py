@@ -3,8 +3,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tronlab.calib.board import corner_points
-from tronlab.calib.stations import plan_stations
+from tronlab.calib.camera.board import corner_points
+from tronlab.calib.wizard.stations import plan_stations
 from tronlab.campaign.rig import load_rig
 from tronlab.devices.laboratory import LaboratorySpec
 from tronlab.geometry.poses import rotation_angle_rad

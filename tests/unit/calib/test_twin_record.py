@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from tronlab.calib.projection import intrinsics_of
+from tronlab.calib.camera.projection import intrinsics_of
 from tronlab.calib.record import CalibrationRecord
 from tronlab.campaign.rig import Rig, load_rig
 from tronlab.geometry.uncertainty import pose_difference

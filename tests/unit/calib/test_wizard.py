@@ -1,234 +1,286 @@
 """The wizard on the twin, with a quarter of the pixels and no terrain."""
 
-from collections.abc import Callable
+import re
 from dataclasses import dataclass, field, replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 from scipy.stats import chi2
+from small_twin import SmallTwin, make_small_twin
 
-from tronlab.calib.measurements import Measurements
-from tronlab.calib.projection import intrinsics_of
+from tronlab.calib.camera.projection import free_intrinsics, intrinsics_of
+from tronlab.calib.inputs import FrameInput, Inputs, StationsInput
 from tronlab.calib.record import CalibrationRecord
-from tronlab.calib.solve import solve_calibration
-from tronlab.calib.wizard import CalibrationSettings, calibrate, measure
-from tronlab.campaign.rig import Rig, load_rig
-from tronlab.devices.laboratory import LaboratorySpec
-from tronlab.devices.registry import KINDS, DeviceContext, Devices, make_device
+from tronlab.calib.rerun import rerun
+from tronlab.calib.results import Results
+from tronlab.calib.wizard import (
+    ALL_PARTS,
+    Settings,
+    calibrate,
+    devices_needed,
+    measure_frame,
+    measure_intrinsics,
+    measure_lamp,
+    measure_robot,
+    measure_stations,
+)
 from tronlab.errors import CalibrationError, DeviceTimeoutError
-from tronlab.geometry.camera import CameraModel
 from tronlab.geometry.uncertainty import pose_difference
-from tronlab.render.renderer import Rendering
-from tronlab.terrain.heightmap import HeightMap
-from tronlab.twin.config import WorldConfig
-from tronlab.twin.devices import WORLD_KEY
-from tronlab.twin.world import World, WorldSetup
 
-TWIN_YAML = Path(__file__).parents[3] / "campaigns/rigs/twin.yaml"
 pytestmark = pytest.mark.opencv
-
-
-class DarkTerrain:
-    def render(self, camera: CameraModel, *_: Any, **__: Any) -> Rendering:
-        return Rendering(
-            radiance=np.full(camera.shape, 0.02, np.float32),
-            depth_m=np.ones(camera.shape, np.float32),
-            points_trs_m=np.zeros((*camera.shape, 3), np.float32),
-            is_lit=np.ones(camera.shape, np.bool_),
-        )
-
-
-@dataclass
-class Notes:
-    lines: list[str] = field(default_factory=list)
-    steps: list[tuple[int, int]] = field(default_factory=list)
-
-    def announce(self, text: str) -> None:
-        self.lines.append(text)
-
-    def advance(self, stage: str, *, n_done: int, n_all: int) -> None:
-        self.steps.append((n_done, n_all))
+FEW = Settings(n_stations=7, n_views=7, n_reflector_readings=2)
+DRAFT = CalibrationRecord(
+    rig_name="small",
+    created_utc="2026-01-02T03:04:05Z",
+    software={"tronlab": "0"},
+    devices={},
+    results=Results(),
+)
 
 
 @dataclass
-class Bench:
-    devices: Devices
-    world: World
-    laboratory: LaboratorySpec
-    notes: Notes = field(default_factory=Notes)
+class Journal:
+    """Keeps what a session hands over along the way."""
 
-    def measure(self) -> Measurements:
-        return measure(
-            self.devices, self.laboratory, settings=CalibrationSettings(), progress=self.notes
-        )
+    drafts: list[CalibrationRecord] = field(default_factory=list)
 
-    def calibrate(self) -> CalibrationRecord:
-        return calibrate(
-            self.devices,
-            self.laboratory,
-            rig_name="small",
-            software={"tronlab": "0"},
-            settings=CalibrationSettings(),
-            progress=self.notes,
-        )
+    def __call__(self, draft: CalibrationRecord) -> None:
+        self.drafts.append(draft)
 
 
-def halved(laboratory: LaboratorySpec) -> LaboratorySpec:
-    camera = laboratory.camera
-    names = ("sensor_width_px", "sensor_height_px", "left_px", "width_px", "height_px")
-    sizes = {name: getattr(camera, name) // 2 for name in names}
-    camera = camera.model_copy(update={**sizes, "pixel_pitch_m": camera.pixel_pitch_m * 2})
-    return laboratory.model_copy(update={"camera": camera})
+@dataclass
+class Done:
+    twin: SmallTwin
+    record: CalibrationRecord
+    journal: Journal
 
 
 @pytest.fixture(scope="module")
-def rig() -> Rig:
-    return load_rig(TWIN_YAML)
-
-
-@pytest.fixture(scope="module")
-def make_bench(rig: Rig) -> Callable[..., Bench]:
-    def make(**sections: Any) -> Bench:
-        assert rig.config.world is not None
-        world_config = {**rig.config.world.model_dump(), **sections}
-        setup = WorldSetup(
-            config=WorldConfig.model_validate(world_config),
-            laboratory=halved(rig.config.laboratory),
-            load_heightmap=lambda: HeightMap(
-                np.zeros((3, 5), np.float32), spacing_m=1.0, origin_trs_m=np.zeros(3)
-            ),
-        )
-        world = World(setup, make_renderer=lambda _: DarkTerrain())
-        devices = {}
-        for kind in KINDS:
-            context = DeviceContext(kind, options={}, seed=3, world=setup)
-            context.shared[WORLD_KEY] = world
-            devices[kind] = make_device(f"twin.{kind}", kind, context)
-            devices[kind].connect()
-        return Bench(Devices(**devices), world, setup.laboratory)
-
-    return make
-
-
-@pytest.fixture(scope="module")
-def done(make_bench: Callable[..., Bench]) -> tuple[Bench, CalibrationRecord]:
-    bench = make_bench()
-    return bench, bench.calibrate()
-
-
-@pytest.fixture(scope="module")
-def measured(make_bench: Callable[..., Bench]) -> Measurements:
-    """Measured with the beam lost at the second station."""
-    fault = {"device": "tracker", "call": "measure_pose", "at": 2, "error": "tracking_lost"}
-    return make_bench(faults=[fault]).measure()
+def done() -> Done:
+    twin, journal = make_small_twin(Settings(n_stations=12), surface={}), Journal()
+    record = calibrate(ALL_PARTS, twin.bench, DRAFT, keep=journal)
+    return Done(twin, record, journal)
 
 
 def nees(error: np.ndarray, covariance: np.ndarray) -> float:
     return float(error @ np.linalg.solve(covariance, error))
 
 
-def test_every_result_lies_within_its_covariance(done: tuple[Bench, CalibrationRecord]) -> None:
-    bench, record = done
-    truth = bench.world.laboratory
-    frame_error = pose_difference(record.trs_from_trk, truth.trk_from_trs.inv())
-    assert nees(frame_error, record.trs_from_trk_covariance) < chi2.ppf(0.999, 6)
+def stations_of(record: CalibrationRecord) -> StationsInput:
+    assert isinstance(record.inputs.hand_eye, StationsInput)
+    return record.inputs.hand_eye
+
+
+def test_every_result_lies_within_its_covariance(done: Done) -> None:
+    truth, results = done.twin.world.laboratory, done.record.results
+    assert results.frame is not None
+    assert results.hand_eye is not None
+    assert results.camera is not None
+    assert results.lamp is not None
+    frame_error = pose_difference(results.frame.trs_from_trk, truth.trk_from_trs.inv())
+    assert nees(frame_error, results.frame.covariance) < chi2.ppf(0.999, 6)
     tmac_from_cam = truth.flange_from_tmac.inv() * truth.flange_from_cam
-    hand_eye_error = pose_difference(record.tmac_from_cam, tmac_from_cam)
-    assert nees(hand_eye_error, record.tmac_from_cam_covariance) < chi2.ppf(0.999, 6)
-    intrinsics_error = intrinsics_of(record.camera) - intrinsics_of(truth.camera)
-    assert nees(intrinsics_error, record.camera_covariance) < chi2.ppf(0.999, 9)
-    lamp_error = record.p_lamp_trs_m - truth.p_targets_trs_m["lamp"]
-    assert nees(lamp_error, record.p_lamp_trs_covariance_m2) < chi2.ppf(0.999, 3)
+    hand_eye_error = pose_difference(results.hand_eye.tmac_from_cam, tmac_from_cam)
+    assert nees(hand_eye_error, results.hand_eye.covariance) < chi2.ppf(0.999, 6)
+    free = free_intrinsics(results.camera.model)
+    error = (intrinsics_of(results.camera.camera) - intrinsics_of(truth.camera))[free]
+    covariance = results.camera.covariance[np.ix_(free, free)]
+    assert nees(error, covariance) < chi2.ppf(0.999, len(free))
+    lamp_error = results.lamp.p_trs_m - truth.p_targets_trs_m["lamp"]
+    assert nees(lamp_error, results.lamp.covariance_m2) < chi2.ppf(0.999, 3)
 
 
-def test_the_truth_of_a_shot_lies_within_its_covariance(
-    done: tuple[Bench, CalibrationRecord],
-) -> None:
-    bench, record = done
-    reading = bench.devices.tracker.measure_pose(window_s=1.0)
-    trs_from_cam, covariance = record.trs_from_cam(reading)
-    error = pose_difference(trs_from_cam, bench.world.truth.trs_from_cam)
+def test_the_truth_of_a_shot_is_known_to_what_is_wanted(done: Done) -> None:
+    reading = done.twin.bench.devices.tracker.measure_pose(window_s=1.0)
+    trs_from_cam, covariance = done.record.trs_from_cam(reading)
+    error = pose_difference(trs_from_cam, done.twin.world.truth.trs_from_cam)
     assert nees(error, covariance) < chi2.ppf(0.999, 6)
-    assert np.sqrt(np.trace(covariance[3:, 3:])) < 0.25e-3
+    assert np.sqrt(np.trace(covariance[3:, 3:])) < 0.15e-3
     assert np.degrees(np.sqrt(np.trace(covariance[:3, :3]))) < 0.015
 
 
-def test_the_record_says_how_it_came_about(done: tuple[Bench, CalibrationRecord]) -> None:
-    bench, record = done
-    assert record.rig_name == "small"
-    assert record.devices["tmac"] == bench.devices.tracker.identify_target()
-    assert len(record.inputs["stations"]) == record.statistics["n_stations"] >= 20
-    assert set(record.inputs["reflectors"]) == {"top_left", "bottom_left", "top_right"}
-    assert record.statistics["p_value_poses"] > 1e-3
-    assert bench.notes.steps[-1] == (27, 27)
-    again = CalibrationRecord.from_json(record.to_json())
-    assert again.statistics == record.statistics
+def test_a_planned_pose_is_met_once_the_robot_is_calibrated(done: Done) -> None:
+    twin, world = done.twin, done.twin.world
+    mounting = done.record.mounting(twin.bench.laboratory.mounting)
+    nominal = twin.bench.mounting
+    wanted = nominal.trs_from_cam(world.robot_at)
+    twin.bench.devices.robot.move(mounting.robot_target(wanted), timeout_s=60.0)
+    error = pose_difference(wanted, world.truth.trs_from_cam)
+    assert np.linalg.norm(error[3:]) < 1e-3
 
 
-def test_the_board_is_taken_away_afterwards(done: tuple[Bench, CalibrationRecord]) -> None:
-    assert done[0].world.truth.trs_from_board is None
+def test_the_reflectors_are_averaged(done: Done) -> None:
+    """Eight independent readings know the frame nearly three times as well as one."""
+    once = measure_frame(make_small_twin(Settings(n_reflector_readings=1)).bench)
+    assert done.record.inputs.frame is not None
+    for name, point in done.record.inputs.frame.points.items():
+        ratio = np.trace(once.points[name].covariance_m2) / np.trace(point.covariance_m2)
+        assert ratio == pytest.approx(8.0)
 
 
-def test_a_board_that_moved_is_noticed(measured: Measurements) -> None:
-    shifted = [
-        type(s)(
-            s.reading, type(s.view)(s.view.ids, s.view.p_board_m, s.view.uv_px + 2.0 * (i > 12))
-        )
-        for i, s in enumerate(measured.stations)
-    ]
-    moved = replace(measured, stations=tuple(shifted))
-    with pytest.raises(CalibrationError, match="tracker and camera contradict each other"):
-        solve_calibration(moved, rig_name="r", devices={}, software={})
+def test_everything_was_kept_along_the_way(done: Done) -> None:
+    drafts = done.journal.drafts
+    assert drafts[0].inputs.frame is not None
+    assert drafts[0].inputs.lamp is None
+    assert drafts[-1].inputs == done.record.inputs
+    counts = [len(stations_of(d).stations) for d in drafts if d.inputs.hand_eye is not None]
+    assert sorted(set(counts)) == list(range(1, 13))
 
 
-def test_swapped_reflectors_show_before_anything_moves(make_bench: Callable[..., Bench]) -> None:
-    bench = make_bench()
-    targets = dict(bench.world.laboratory.p_targets_trs_m)
+def test_what_was_kept_can_be_solved_later(done: Done) -> None:
+    kept = CalibrationRecord.from_json(done.journal.drafts[-1].to_json())
+    again = rerun(kept, {})
+    assert not again.differences
+    assert set(again.new_parts) == {"frame", "camera", "hand_eye", "lamp", "robot"}
+    record = CalibrationRecord.from_json(done.record.to_json())
+    assert rerun(record, {}).differences == ()
+
+
+def test_one_part_measured_anew_leaves_the_others(done: Done) -> None:
+    twin = make_small_twin(FEW)
+    draft = replace(done.record, results=Results())
+    record = calibrate(["frame"], twin.bench, draft)
+    assert record.inputs.frame != done.record.inputs.frame
+    assert record.inputs.hand_eye == done.record.inputs.hand_eye
+    before, after = done.record.results.hand_eye, record.results.hand_eye
+    assert before is not None
+    assert after is not None
+    np.testing.assert_allclose(
+        before.tmac_from_cam.as_matrix(), after.tmac_from_cam.as_matrix(), atol=1e-12
+    )
+
+
+def test_the_person_is_told_what_is_seen_and_what_is_missing(done: Done) -> None:
+    lines, questions = done.twin.dialogue.lines, done.twin.dialogue.questions
+    assert any("of 63 corners found, in the" in line for line in lines)
+    assert any(". . ." in line or "x x ." in line for line in lines)
+    assert "least determined: " in lines[-2]
+    assert any("station 12 of 12: 0." in question for question in questions)
+    assert "first 6 stations are fixed" in questions[-12]
+    assert re.search(r"known to 0\.\d+ mm instead of 0\.\d+ mm", questions[-1])
+    assert ("station", 12, 12) in done.twin.dialogue.steps
+
+
+def test_the_board_is_taken_away_afterwards(done: Done) -> None:
+    assert done.twin.world.truth.trs_from_board is None
+
+
+def test_the_person_may_skip_and_stop() -> None:
+    twin = make_small_twin(FEW, answers=["skip", "go", "go", "stop"])
+    measured = measure_stations(twin.bench)
+    assert len(measured.stations) == 2
+    assert twin.world.truth.trs_from_board is None
+
+
+def test_ctrl_c_loses_nothing_and_the_board_is_taken_away() -> None:
+    twin, journal = make_small_twin(FEW, answers=["go", "go", "interrupt"]), Journal()
+    with pytest.raises(KeyboardInterrupt):
+        calibrate(["frame", "hand_eye"], twin.bench, DRAFT, keep=journal)
+    assert len(stations_of(journal.drafts[-1]).stations) == 2
+    assert isinstance(journal.drafts[-1].inputs.frame, FrameInput)
+    assert twin.world.truth.trs_from_board is None
+
+
+def test_intrinsics_need_no_tracker() -> None:
+    twin = make_small_twin(FEW)
+    twin.bench.devices.tracker.close()
+    measured = measure_intrinsics(twin.bench)
+    assert len(measured.views) == 7
+    assert devices_needed(["intrinsics"]) == {"robot", "camera", "room", "operator"}
+
+
+def test_the_lamp_is_measured_with_the_reflectors_of_its_own_set_up() -> None:
+    measured = measure_lamp(make_small_twin(FEW).bench)
+    assert set(measured.points) == {"top_left", "bottom_left", "top_right"}
+
+
+def test_swapped_reflectors_show_before_anything_moves() -> None:
+    twin = make_small_twin(FEW)
+    targets = dict(twin.world.laboratory.p_targets_trs_m)
     targets["top_left"], targets["top_right"] = targets["top_right"], targets["top_left"]
-    object.__setattr__(bench.world.laboratory, "p_targets_trs_m", targets)
-    parked = bench.world.state.read().robot_encoders
+    object.__setattr__(twin.world.laboratory, "p_targets_trs_m", targets)
+    parked = twin.world.state.read().robot_encoders
     with pytest.raises(CalibrationError, match="top_left, top_right are swapped"):
-        bench.calibrate()
-    assert bench.world.state.read().robot_encoders == parked
+        calibrate(ALL_PARTS, twin.bench, DRAFT)
+    assert twin.world.state.read().robot_encoders == parked
 
 
-def test_a_lost_beam_costs_one_station(measured: Measurements) -> None:
-    assert len(measured.stations) >= 20
-    assert [line.split(":")[0] for line in measured.skipped] == ["pose 1"]
+def lost_at(n: int, *, times: int) -> dict[str, object]:
+    return {
+        "device": "tracker",
+        "call": "measure_pose",
+        "at": n,
+        "times": times,
+        "error": "tracking_lost",
+    }
 
 
-def test_the_board_is_taken_away_when_a_device_fails(make_bench: Callable[..., Bench]) -> None:
-    fault = {"device": "camera", "call": "grab", "at": 3, "error": "timeout"}
-    bench = make_bench(faults=[fault])
+def test_a_beam_lost_once_costs_nothing_and_for_long_one_station() -> None:
+    # Four calls a station: two looks, the measurement, and a look after the image.
+    faults = [lost_at(5, times=1), lost_at(10, times=3)]
+    twin = make_small_twin(replace(FEW, n_stations=3), faults=faults)
+    measured = measure_stations(twin.bench)
+    assert len(measured.stations) == 3
+    assert [line.split(":")[0] for line in measured.skipped] == ["pose 2"]
+
+
+def test_a_robot_place_out_of_view_is_left_out() -> None:
+    measured = measure_robot(make_small_twin(FEW, faults=[lost_at(4, times=3)]).bench)
+    assert [line.split(":")[0] for line in measured.skipped] == ["place 1"]
+    assert len(measured.stations) >= 10
+
+
+def test_the_board_is_taken_away_when_a_device_fails() -> None:
+    fault = {"device": "camera", "call": "grab", "at": 3, "times": 9, "error": "timeout"}
+    twin = make_small_twin(FEW, faults=[fault])
     with pytest.raises(DeviceTimeoutError):
-        bench.calibrate()
-    assert bench.world.truth.trs_from_board is None
+        measure_stations(twin.bench)
+    assert twin.world.truth.trs_from_board is None
 
 
-def test_without_light_no_exposure_is_found(make_bench: Callable[..., Bench]) -> None:
-    bench = make_bench()
-    bench.devices.room.switch_lamp = lambda *, on: None  # type: ignore[method-assign]
-    bench.world.state.change(lamp_level=0.0)
+def test_a_board_that_is_not_there_is_noticed() -> None:
+    twin = make_small_twin(FEW)
+    board = twin.bench.laboratory.board.model_copy(update={"dictionary": "DICT_4X4_250"})
+    twin = twin.with_laboratory(twin.bench.laboratory.model_copy(update={"board": board}))
+    with pytest.raises(CalibrationError, match=r"not found in 3 images.*DICT_4X4_250"):
+        measure_stations(twin.bench)
+
+
+def test_a_board_in_millimetres_is_out_of_reach() -> None:
+    twin = make_small_twin(FEW)
+    board = twin.bench.laboratory.board.model_copy(update={"square_m": 50.0, "marker_m": 35.0})
+    twin = twin.with_laboratory(twin.bench.laboratory.model_copy(update={"board": board}))
+    with pytest.raises(
+        CalibrationError, match=r"none of the planned poses(.|\n)*lengths are metre"
+    ):
+        measure_stations(twin.bench)
+
+
+def test_poses_out_of_reach_are_listed_and_others_taken() -> None:
+    twin = make_small_twin(replace(FEW, n_stations=3))
+    mounting = twin.bench.laboratory.mounting.model_copy(update={"rail_range_m": (0.0, 3.7)})
+    twin.world.spec = twin.bench.laboratory.model_copy(update={"mounting": mounting})
+    measured = measure_stations(twin.bench)
+    assert len(measured.stations) == 3
+    assert any("rail position" in line for line in measured.skipped)
+
+
+def test_without_light_no_exposure_is_found() -> None:
+    twin = make_small_twin(FEW)
+    twin.bench.devices.room.switch_lamp = lambda *, on: None  # type: ignore[method-assign]
+    twin.world.state.change(lamp_level=0.0)
     with pytest.raises(CalibrationError, match=r"no exposure found(.|\n)*is the lamp on"):
-        bench.calibrate()
+        measure_stations(twin.bench)
 
 
-def test_poses_out_of_reach_are_listed(make_bench: Callable[..., Bench]) -> None:
-    bench = make_bench()
-    mounting = bench.laboratory.mounting.model_copy(update={"rail_range_m": (0.0, 3.6)})
-    short = bench.laboratory.model_copy(update={"mounting": mounting})
-    bench.world.spec = short
-    measurements = bench.measure()
-    out_of_reach = [line for line in measurements.skipped if "rail position" in line]
-    assert out_of_reach
-    assert len(measurements.stations) + len(measurements.skipped) == 27
-
-
-def test_an_image_of_another_size_is_refused(make_bench: Callable[..., Bench]) -> None:
-    bench = make_bench()
-    camera = bench.laboratory.camera.model_copy(update={"height_px": 400})
-    bench.laboratory = bench.laboratory.model_copy(update={"camera": camera})
+def test_an_image_of_another_size_is_refused() -> None:
+    twin = make_small_twin(FEW)
+    camera = twin.bench.laboratory.camera.model_copy(update={"height_px": 400})
+    twin = twin.with_laboratory(twin.bench.laboratory.model_copy(update={"camera": camera}))
     with pytest.raises(CalibrationError, match=r"shape \(512, 512\).*says \(400, 512\)"):
-        bench.calibrate()
+        measure_stations(twin.bench)
+
+
+def test_a_draft_goes_on_from_what_it_has() -> None:
+    """Nothing measured and nothing known: a record without parts."""
+    assert calibrate([], make_small_twin(FEW).bench, DRAFT).inputs == Inputs()

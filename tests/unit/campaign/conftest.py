@@ -9,10 +9,13 @@ import pytest
 from records import make_record, make_results
 from scipy.spatial.transform import RigidTransform
 
+from tronlab.calib.inputs import FrameInput, Inputs, PointInput
 from tronlab.calib.record import CalibrationRecord
 from tronlab.campaign.config import CampaignConfig
+from tronlab.campaign.drift import open_watch
 from tronlab.campaign.plan import Plan, Shot
 from tronlab.campaign.shot import ShotTaker, TruthSource
+from tronlab.devices.laboratory import ReflectorsSpec
 from tronlab.devices.readings import (
     AirReading,
     DeviceIdentity,
@@ -28,6 +31,8 @@ from tronlab.geometry.camera import CameraModel
 from tronlab.geometry.poses import FloatArray
 from tronlab.terrain.heightmap import HeightMap
 
+COVARIANCE_M2 = ((1e-10, 0.0, 0.0), (0.0, 1e-10, 0.0), (0.0, 0.0, 1e-10))
+REFLECTORS_M = {"top_left": (0.0, 0, 0), "bottom_left": (2.0, 0, 0), "top_right": (0.0, 4.0, 0)}
 CAMERA = CameraModel(width_px=16, height_px=12, fx_px=12.0, fy_px=12.0, cx_px=7.5, cy_px=5.5)
 
 
@@ -48,6 +53,8 @@ class Laboratory:
     """Whether the door is closed at each look, until there are no more; then it is."""
     air: AirReading | None = None
     """What the tracker says of the air."""
+    drift_m: float = 0.0
+    """How far all reflectors seem to have moved, along each axis."""
 
     def call(self, name: str) -> None:
         self.log.append(name)
@@ -92,7 +99,9 @@ class FakeTracker(Fake):
         return DeviceIdentity(maker="Fake", model="tmac", serial="1", firmware="")
 
     def measure_point(self, target: str, *, window_s: float) -> PointReading:
-        raise NotImplementedError
+        self.laboratory.call("point")
+        p_trk_m = np.array(REFLECTORS_M[target]) + self.laboratory.drift_m
+        return PointReading(target, p_trk_m, 1e-10 * np.eye(3), 5.0)
 
     def measure_pose(self, *, window_s: float) -> PoseReading:
         self.laboratory.call("look" if window_s < 1 else "measure")
@@ -176,7 +185,15 @@ def calibration() -> CalibrationRecord:
         sigma_rad=0.0,
         sigma_m=0.0,
     )
-    return make_record(results, rig_name="fake")
+    points = {
+        name: PointInput(p_trk_m=p_m, covariance_m2=COVARIANCE_M2, time_s=0.0)
+        for name, p_m in REFLECTORS_M.items()
+    }
+    reflectors = ReflectorsSpec(
+        bottom_left_m=REFLECTORS_M["bottom_left"], top_right_m=REFLECTORS_M["top_right"]
+    )
+    frame = FrameInput(measured_utc="2026-01-02T03:04:05Z", reflectors=reflectors, points=points)
+    return make_record(results, rig_name="fake", inputs=Inputs(frame=frame))
 
 
 @pytest.fixture
@@ -209,6 +226,7 @@ def taker(
         devices=devices,
         config=config,
         truth_source=TruthSource(calibration, heightmap, FlatGround()),
+        drift_watch=open_watch(devices.tracker, calibration, config.drift, advice="measure anew"),
         sleep=clock.sleep,
         monotonic_s=clock.monotonic_s,
     )

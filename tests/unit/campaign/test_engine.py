@@ -5,14 +5,18 @@ from typing import Any
 import pytest
 
 from tronlab.campaign import engine
+from tronlab.campaign.config import DriftConfig
+from tronlab.campaign.drift import DriftChecks, n_checks
 from tronlab.campaign.engine import RunListener, run_shots
-from tronlab.campaign.plan import Plan, Shot
+from tronlab.campaign.plan import Plan
 from tronlab.campaign.policy import MAX_ATTEMPTS
 from tronlab.campaign.shot import ShotTaker
+from tronlab.campaign.steps import Status
 from tronlab.campaign.stop import RunStoppedError, StopRequest
-from tronlab.dataset.records import ShotRecord
+from tronlab.dataset.records import DriftRecord, ShotRecord
 from tronlab.devices.readings import AirReading
 from tronlab.errors import (
+    CalibrationError,
     DatasetError,
     DeviceFaultError,
     DeviceTimeoutError,
@@ -65,13 +69,13 @@ def test_retryable_errors_are_told_and_tried_again(
 ) -> None:
     laboratory.failures = {("measure", 1): error, ("measure", 2): error}
     records: list[ShotRecord] = []
-    told: list[tuple[int, int, Exception]] = []
+    told: list[tuple[str, int, Exception]] = []
 
-    def on_retry(shot: Shot, attempt: int, reason: Exception) -> None:
-        told.append((shot.shot_id, attempt, reason))
+    def on_retry(task: str, attempt: int, reason: Exception) -> None:
+        told.append((task, attempt, reason))
 
     run_shots(plan, taker, commit=records.append, listener=RunListener(on_retry=on_retry))
-    assert told == [(1, 1, error), (1, 2, error)]
+    assert told == [("shot 1", 1, error), ("shot 1", 2, error)]
     assert [record.attempt for record in records] == [3, 1, 1, 1]
 
 
@@ -82,11 +86,11 @@ def test_a_door_opened_during_a_shot_suspends_the_run_and_the_shot_is_taken_agai
     records: list[ShotRecord] = []
     told: list[str] = []
     listener = RunListener(
-        on_wait=lambda shot, error: told.append(f"wait {shot.shot_id}: {error}"),
-        on_resume=lambda shot: told.append(f"resume {shot.shot_id}"),
+        on_wait=lambda task, error: told.append(f"wait {task}: {error}"),
+        on_resume=lambda task: told.append(f"resume {task}"),
     )
     run_shots(plan, taker, commit=records.append, listener=listener)
-    assert told == ["wait 2: room: the door is open; close it", "resume 2"]
+    assert told == ["wait shot 2: room: the door is open; close it", "resume shot 2"]
     assert [record.shot_id for record in records] == [1, 2, 3, 4]
     assert [record.attempt for record in records] == [1, 2, 1, 1]
     assert laboratory.log.count("move") == 5
@@ -99,11 +103,15 @@ def test_a_door_opened_again_is_another_wait_and_another_attempt(
     records: list[ShotRecord] = []
     told: list[str] = []
     listener = RunListener(
-        on_wait=lambda shot, _error: told.append(f"wait {shot.shot_id}: {taker.in_hand}"),
-        on_resume=lambda shot: told.append(f"resume {shot.shot_id}"),
+        on_wait=lambda task, _error: told.append(f"wait {task}: {taker.in_hand}"),
+        on_resume=lambda task: told.append(f"resume {task}"),
     )
     run_shots(plan, taker, commit=records.append, listener=listener)
-    assert told == ["wait 1: shot 1, attempt 1", "wait 1: shot 1, attempt 2", "resume 1"]
+    assert told == [
+        "wait shot 1: shot 1, attempt 1",
+        "wait shot 1: shot 1, attempt 2",
+        "resume shot 1",
+    ]
     assert [record.attempt for record in records] == [3, 1, 1, 1]
 
 
@@ -336,23 +344,125 @@ def test_runs_leave_no_thread_behind(taker: ShotTaker, plan: Plan) -> None:
     assert {t for t in set(threading.enumerate()) - before if t.is_alive()} == set()
 
 
+CHECK = ["read_room", *["point"] * 3]
+
+
+def checks_every(n: int | None, into: list[DriftRecord]) -> DriftChecks:
+    return DriftChecks(every_n_shots=n, commit=into.append)
+
+
+@pytest.mark.parametrize(
+    ("every", "expected"), [(2, [2, 4]), (3, [3, 4]), (1, [1, 2, 3, 4]), (9, [4]), (None, [4])]
+)
+def test_drift_is_checked_between_shots_and_at_the_end(
+    taker: ShotTaker, plan: Plan, laboratory: Any, every: int | None, expected: list[int]
+) -> None:
+    checks: list[DriftRecord] = []
+    run_shots(plan, taker, commit=lambda record: None, drift=checks_every(every, checks))
+    assert [check.n_shots_before for check in checks] == expected
+    after = [CHECK if n in expected else [] for n in (1, 2, 3, 4)]
+    assert laboratory.log == [call for check in after for call in (*ONE_SHOT, *check)]
+    assert n_checks(4, DriftConfig(every_n_shots=every)) == 1 + len(expected)
+
+
+def test_a_check_has_the_same_retries_as_a_shot(
+    taker: ShotTaker, plan: Plan, laboratory: Any
+) -> None:
+    laboratory.failures = {("point", 2): lost()}
+    checks: list[DriftRecord] = []
+    told: list[tuple[str, int]] = []
+    run_shots(
+        plan,
+        taker,
+        commit=lambda record: None,
+        drift=checks_every(2, checks),
+        listener=RunListener(on_retry=lambda task, attempt, error: told.append((task, attempt))),
+    )
+    assert told == [("drift check after 2 shots", 1)]
+    assert [check.n_shots_before for check in checks] == [2, 4]
+    assert laboratory.log.count("move") == 4
+
+
+def test_a_check_that_never_succeeds_ends_the_run(
+    taker: ShotTaker, plan: Plan, laboratory: Any
+) -> None:
+    laboratory.failures = {("point", k): lost() for k in range(1, 1 + MAX_ATTEMPTS)}
+    with pytest.raises(TrackingLostError):
+        run_shots(plan, taker, commit=lambda record: None, drift=checks_every(2, []))
+    assert taker.in_hand == f"drift check after 2 shots, attempt {MAX_ATTEMPTS}"
+
+
+def test_whoever_stores_a_check_may_end_the_run(taker: ShotTaker, plan: Plan) -> None:
+    def refuse(check: DriftRecord) -> None:
+        raise CalibrationError(f"moved after {check.n_shots_before}")
+
+    records: list[ShotRecord] = []
+    with pytest.raises(CalibrationError, match="moved after 2"):
+        run_shots(plan, taker, commit=records.append, drift=DriftChecks(2, refuse))
+    assert [record.shot_id for record in records] == [1, 2]
+
+
+@pytest.mark.parametrize(
+    ("n_points_before", "n_moves", "n_asked", "expected"),
+    [(3, 2, 1, [1, 2]), (3, 2, 2, [1]), (1, 1, 1, [1])],
+    ids=["in a shot", "in a shot, at once", "in a check"],
+)
+def test_a_stopped_run_checks_its_last_shots_unless_stopped_at_once(
+    taker: ShotTaker,
+    plan: Plan,
+    laboratory: Any,
+    n_points_before: int,
+    n_moves: int,
+    n_asked: int,
+    expected: list[int],
+) -> None:
+    stop = StopRequest()
+
+    def ask(call: str) -> None:
+        counts = laboratory.log.count("point"), laboratory.log.count("move")
+        if counts == (n_points_before, n_moves) and call in {"move", "point"}:
+            for _ in range(n_asked):
+                stop.ask()
+
+    laboratory.on_call = ask
+    checks: list[DriftRecord] = []
+    with pytest.raises(RunStoppedError):
+        run_shots(plan, taker, commit=lambda record: None, drift=checks_every(1, checks), stop=stop)
+    assert [check.n_shots_before for check in checks] == expected
+
+
+def test_a_last_check_that_fails_does_not_hide_the_stop(
+    taker: ShotTaker, plan: Plan, laboratory: Any
+) -> None:
+    stop = StopRequest()
+    laboratory.failures = {("point", 1): lost()}
+    laboratory.on_call = lambda call: stop.ask() if call == "grab" else None
+    with pytest.raises(RunStoppedError):
+        run_shots(plan, taker, commit=lambda record: None, drift=checks_every(None, []), stop=stop)
+    assert laboratory.log == [*ONE_SHOT, "read_room", "point"]
+
+
 def test_replayed_event_commits_its_shot_once(taker: ShotTaker, plan: Plan) -> None:
     """An immediate pause may replay the messages of a shot whose event was already emitted."""
     records: list[ShotRecord] = []
-    run = engine._Run(taker, commit=records.append, stop=StopRequest(), listener=RunListener())
+    run = engine._Run(
+        taker, commit=records.append, drift=None, stop=StopRequest(), listener=RunListener()
+    )
     for _ in range(2):
         taker.begin(plan.shots[0], 1)
         for step in (taker.move, taker.measure, taker.grab, taker.read):
             step()
-        engine._put_into_mailbox(run)
+        engine._post_shot(run)
         run.take_document("event", {"data": {"shot_id": 1, "attempt": 1}})
     assert [record.shot_id for record in records] == [1]
-    assert run.mailbox == {}
+    assert run.shots == {}
 
 
 def test_documents_hold_numbers_only(taker: ShotTaker, plan: Plan) -> None:
     documents: list[tuple[str, dict[str, Any]]] = []
-    run = engine._Run(taker, commit=lambda record: None, stop=StopRequest(), listener=RunListener())
+    run = engine._Run(
+        taker, commit=lambda record: None, drift=None, stop=StopRequest(), listener=RunListener()
+    )
     with engine._engine() as run_engine:
         run_engine.subscribe(lambda name, document: documents.append((name, document)))
         run_engine(engine._campaign(plan, run))
@@ -366,7 +476,7 @@ def test_documents_hold_numbers_only(taker: ShotTaker, plan: Plan) -> None:
 
 
 def test_status_tells_what_it_is() -> None:
-    status = engine._Status("camera")
+    status = Status("camera")
     assert repr(status) == "camera: pending"
     status.finish(TrackingLostError("beam broken", device="tracker"))
     status.finish()

@@ -31,6 +31,8 @@ def test_info_shows_what_is_in_it(small_dataset: Path) -> None:
     assert facts["range to terrain"] == "3.800 to 4.000 m"
     assert facts["usable fraction"] == "0.742 to 0.794"
     assert facts["calibrated"] == "2026-11-20T10:00:00+00:00"
+    assert facts["truth of the shots"] == "5 good"
+    assert facts["drift checks"] == "2, at most 0.100 mm (limit 0.5 mm)"
     assert facts["device camera"] == "Prosilica GC1380H 02-2166A 1.42"
     assert facts["version tronlab"] == "0.1.0"
     assert facts["duration"].endswith(" s")

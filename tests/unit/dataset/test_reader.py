@@ -345,7 +345,7 @@ def test_a_status_that_is_no_text_is_damage(small_dataset: Path) -> None:
         ("fx_px", "wide", "fx_px is 'wide', not a number"),
         ("fx_px", "48.0", "fx_px is '48.0', not a number"),
         ("distortion", "12345", "distortion is '12345', not a number"),
-        ("distortion", [0.1, 0.2], "camera model: "),
+        ("distortion", [0.1] * 9, "camera model: "),
         ("width_px", np.inf, "cannot convert float infinity"),
     ],
 )
@@ -355,6 +355,12 @@ def test_a_spoilt_camera_model_is_damage(
     set_attribute(small_dataset, f"{schema.CAMERA}/model", name, value)
     with pytest.raises(IntegrityError, match=f"{schema.CAMERA}/model: {message}"):
         Dataset(small_dataset)
+
+
+def test_five_distortion_coefficients_of_earlier_files_are_read(small_dataset: Path) -> None:
+    set_attribute(small_dataset, f"{schema.CAMERA}/model", "distortion", [0.1, 0.2, 0.3, 0.4, 0.5])
+    with Dataset(small_dataset) as dataset:
+        assert dataset.camera.distortion == (0.1, 0.2, 0.3, 0.4, 0.5, 0.0, 0.0, 0.0)
 
 
 def test_a_spoilt_quaternion_is_not_handed_out(small_dataset: Path) -> None:

@@ -27,7 +27,8 @@ def all_objects(path: Path) -> dict[str, tuple[str, Any]]:
 def test_every_group_has_its_nexus_class(small_dataset: Path) -> None:
     groups = {name: a for name, (kind, a) in all_objects(small_dataset).items() if kind == "group"}
     classes = {name: attributes.get("NX_class") for name, attributes in groups.items()}
-    assert classes == {**schema.GROUPS, schema.REFERENCES: "NXcollection"}
+    optional = {schema.REFERENCES: "NXcollection", schema.DRIFT: "NXcollection"}
+    assert classes == {**schema.GROUPS, **optional}
 
 
 def test_every_number_has_units(small_dataset: Path) -> None:
@@ -87,11 +88,13 @@ def test_the_checksum_depends_on_every_value_and_their_order() -> None:
 
 def test_the_page_has_every_path_with_its_class_and_no_other(small_dataset: Path) -> None:
     written = set(re.findall(r"^\| `(entry[^`]*)`", PAGE, flags=re.MULTILINE))
-    columns = {column.path for column in (*schema.COLUMNS, *schema.CHECKSUM_COLUMNS)}
-    references = {schema.REFERENCES, schema.REFERENCES_CRC32}
-    others = {schema.IMAGE, schema.MASK, schema.N_COMMITTED} | references
-    assert written == columns | others | set(schema.GROUPS)
-    for path, nx_class in schema.GROUPS.items():
+    all_columns = (*schema.COLUMNS, *schema.CHECKSUM_COLUMNS, *schema.DRIFT_COLUMNS)
+    columns = {column.path for column in all_columns}
+    checksums = {schema.REFERENCES_CRC32, schema.DRIFT_CRC32}
+    others = {schema.IMAGE, schema.MASK, schema.N_COMMITTED, schema.N_DRIFT_CHECKS} | checksums
+    groups = {**schema.GROUPS, **schema.OPTIONAL_GROUPS}
+    assert written == columns | others | set(groups)
+    for path, nx_class in groups.items():
         assert f"`{path}` ({nx_class})" in PAGE
 
 

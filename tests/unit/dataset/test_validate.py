@@ -181,7 +181,7 @@ def test_a_camera_model_that_is_not_the_calibrated_one_is_found(
 ) -> None:
     path = tmp_path / "a.h5"
     provenance = make_provenance(1)
-    calibration = {"camera": provenance.camera.to_dict()}
+    calibration = {"camera": {"intrinsics": provenance.camera.to_dict()}}
     provenance = replace(provenance, calibration_json=json.dumps(calibration))
     assert findings_of(path, provenance, [make_shot(0)], []) == []
     with h5py.File(path, "r+") as file:

@@ -18,12 +18,14 @@ CAMERA = CameraModel(
     distortion=(-0.11, 0.06, 4e-4, -3e-4, -0.01),
 )
 
+RATIONAL = replace(CAMERA, distortion=(0.4, -0.1, 4e-4, -3e-4, 0.02, 0.5, -0.05, 0.01))
+
 in_image = st.tuples(st.floats(-0.5, 1023.5), st.floats(-0.5, 767.5))
 
 
-@given(in_image)
-def test_rays_and_pixels_are_inverse(uv):
-    np.testing.assert_allclose(CAMERA.pixels(CAMERA.rays(uv)), uv, atol=1e-8)
+@given(in_image, st.sampled_from([CAMERA, RATIONAL]))
+def test_rays_and_pixels_are_inverse(uv, camera):
+    np.testing.assert_allclose(camera.pixels(camera.rays(uv)), uv, atol=1e-8)
 
 
 @given(in_image, st.floats(0.1, 50))
@@ -35,13 +37,14 @@ def test_a_point_on_a_ray_projects_to_its_pixel(uv, depth_m):
 
 
 @pytest.mark.opencv
-def test_projection_equals_opencvs():
+@pytest.mark.parametrize("camera", [CAMERA, RATIONAL], ids=["brown", "rational"])
+def test_projection_equals_opencvs(camera):
     cv2 = pytest.importorskip("cv2")
     points = np.random.default_rng(1).uniform([-2, -1.5, 2], [2, 1.5, 5], size=(500, 3))
     expected, _ = cv2.projectPoints(
-        points, np.zeros(3), np.zeros(3), CAMERA.matrix, np.array(CAMERA.distortion)
+        points, np.zeros(3), np.zeros(3), camera.matrix, np.array(camera.distortion)
     )
-    np.testing.assert_allclose(CAMERA.project(points), expected[:, 0], atol=1e-9)
+    np.testing.assert_allclose(camera.project(points), expected[:, 0], atol=1e-9)
 
 
 def test_points_behind_the_camera_have_no_pixel():
@@ -71,14 +74,20 @@ def test_the_field_of_view_is_that_of_the_outer_pixel_borders():
 
 
 def test_a_model_survives_its_plain_form():
-    assert CameraModel.from_dict(CAMERA.to_dict()) == CAMERA
+    assert CameraModel.from_dict(RATIONAL.to_dict()) == RATIONAL
+
+
+@pytest.mark.parametrize("n", [0, 4, 5])
+def test_coefficients_left_out_are_zero(n):
+    short = {**RATIONAL.to_dict(), "distortion": RATIONAL.distortion[:n]}
+    assert CameraModel.from_dict(short).distortion == (*RATIONAL.distortion[:n], *[0.0] * (8 - n))
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"fx": 1.0}, "missing or unknown: fx"),
-        ({"distortion": [0.0, 0.0]}, "expected 5"),
+        ({"distortion": [0.0] * 9}, "9 distortion coefficients, at most 8"),
         ({"fx_px": "wide"}, "could not convert"),
     ],
 )

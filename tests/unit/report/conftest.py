@@ -47,6 +47,7 @@ def make_scores(
                 "time_detect_s": rng.uniform(0.2, 0.4, n_shots),
                 "time_match_s": rng.uniform(0.02, 0.04, n_shots),
                 "time_pose_s": rng.uniform(0.001, 0.004, n_shots),
+                "truth_state": "good",
             }
         )
         for i, axis in enumerate("xyz"):
@@ -122,5 +123,5 @@ def fake_score(core: str, shot_id: int, truth: Truth, offset_m: float | None) ->
         result = NavigationResult(
             "ok", shift * truth.trs_from_cam, uv_inliers=np.array([[20.0, 12.0], [40.0, 30.0]])
         )
-    row = score_row(core, int(shot_id), truth=truth, result=result)
+    row = score_row(core, int(shot_id), truth=truth, truth_state="good", result=result)
     return CoreScore(core, int(shot_id), row, result)

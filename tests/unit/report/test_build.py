@@ -98,6 +98,18 @@ def test_page_needs_nothing_beside_itself(score_by_hand):
 
 
 @blank_figures
+def test_page_says_whether_truth_can_be_trusted(score_by_hand, small_dataset):
+    words = build_report(score_by_hand({"a": 0.001})).read_text()
+    assert "2; the model seemed to move by 0.100 mm at most, allowed are 0.5 mm" in words
+    assert "no shot is in doubt" in words
+    with h5py.File(small_dataset, "r+") as file:
+        del file["entry/drift"]
+        file["entry/calibration"].attrs["accepted"] = ["it had expired"]
+    words = build_report(score_by_hand({"a": 0.001})).read_text()
+    assert "none: the truth of no shot is vouched for" in words
+    assert "<dt>accepted</dt><dd>it had expired</dd>" in words
+
+
 def test_page_says_what_was_measured_and_how(score_by_hand):
     words = Parsed(build_report(score_by_hand(CORES))).words
     for text in ("straight line", "5 of 5 planned", "Leica T-MAC 1 2", "too few <matches>", "42"):

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -19,7 +20,7 @@ from scipy.spatial.transform import RigidTransform
 
 from tronlab.dataset import schema
 from tronlab.dataset.reader import Dataset
-from tronlab.dataset.records import Truth
+from tronlab.dataset.records import DriftRecord, Provenance, ReferenceView, ShotRecord, Truth
 from tronlab.dataset.writer import DatasetWriter
 from tronlab.errors import DatasetError, IntegrityError, ScoreError
 from tronlab.nav import cores as nav_cores
@@ -35,8 +36,8 @@ ISSUE_COLUMNS = """
 core shot_id status range_los_m usable_fraction position_error_m position_error_pct_los
 error_trs_x_m error_trs_y_m error_trs_z_m error_cam_x_m error_cam_y_m error_cam_z_m
 axis_error_x_deg axis_error_y_deg axis_error_z_deg rotation_error_deg
-n_features n_matches n_inliers time_detect_s time_match_s time_pose_s
-""".split()  # noqa: SIM905  # as the issue lists them
+n_features n_matches n_inliers time_detect_s time_match_s time_pose_s truth_state
+""".split()  # noqa: SIM905  # as the issues list them
 
 
 class ShiftCore:
@@ -118,6 +119,30 @@ def plug_ins(monkeypatch: pytest.MonkeyPatch) -> None:
 def scored(small_dataset: Path, plug_ins: None) -> Path:
     score_dataset(small_dataset, cores=["shift"], workers=1)
     return small_dataset.parent
+
+
+def test_shots_whose_truth_is_in_doubt_are_told_and_flagged(
+    tmp_path: Path,
+    plug_ins: None,
+    make_shot: Callable[..., ShotRecord],
+    make_drift: Callable[..., DriftRecord],
+    make_provenance: Callable[..., Provenance],
+    make_view: Callable[[int], ReferenceView],
+) -> None:
+    path = tmp_path / "drift.h5"
+    with DatasetWriter(path, make_provenance(5)) as writer:
+        writer.add_references([make_view(0)])
+        writer.plan_drift_checks(tuple(make_drift(0).readings), 3)
+        writer.commit_drift(make_drift(0))
+        for i in range(5):
+            writer.commit(make_shot(i))
+            if i in {1, 3}:
+                writer.commit_drift(make_drift(i + 1, is_within=i == 1))
+        writer.finish("complete")
+    said: list[str] = []
+    table = score_dataset(path, cores=["shift"], workers=1, announce=said.append)
+    assert table["truth_state"].tolist() == ["good", "good", *["suspect"] * 3]
+    assert any("truth of shots 2-4 is suspect" in text for text in said)
 
 
 def test_columns_are_those_of_the_issue(scored: Path) -> None:

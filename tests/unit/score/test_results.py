@@ -16,7 +16,7 @@ from tronlab.score.table import COLUMNS
 
 def score_of(core: str, shot_id: int, value: float = 0.1) -> CoreScore:
     row = {name: value if kind == "float64" else 0 for name, kind in COLUMNS.items()}
-    row |= {"core": core, "shot_id": shot_id, "status": "ok"}
+    row |= {"core": core, "shot_id": shot_id, "status": "ok", "truth_state": "good"}
     uv = np.full((shot_id + 1, 2), 3.5)
     return CoreScore(core, shot_id, row, NavigationResult("no_pose", reason="dim", uv_inliers=uv))
 

@@ -54,6 +54,22 @@ def test_only_measuring_loses_the_beam():
         FaultSpec(device="robot", call="move", at=1, error="tracking_lost")
 
 
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"device": "robot", "call": "move", "moved_m": (0, 1, 0)}, "only the tracker can be mov"),
+        ({"device": "tracker", "call": "connect"}, "moved_m: says how far"),
+        (
+            {"device": "tracker", "call": "connect", "error": "fault", "moved_m": (0, 1, 0)},
+            "moved_m: says how far",
+        ),
+    ],
+)
+def test_only_a_tracker_is_moved_and_by_some_way(values, message):
+    with pytest.raises(ValidationError, match=message):
+        FaultSpec.model_validate({"at": 1, "error": "moved", **values})
+
+
 def test_every_method_of_the_protocols_can_fail():
     protocols = {
         "robot": Robot,

@@ -55,7 +55,7 @@ def test_arm_repeats_within_its_sigma(bench, spec, look_at):
     for target in targets(spec, look_at, n=N_DRAWS):
         b.devices.robot.move(target, timeout_s=60.0)
         rail_from_flange = lab.trs_from_rail.inv() * b.world.truth.trs_from_flange
-        actual = perturb(rail_from_flange, np.array([0, 0, 0, -target.rail_m, 0, 0]))
+        actual = perturb(rail_from_flange, np.r_[0, 0, 0, -target.rail_m * lab.rail_axis])
         difference = pose_difference(target.base_from_flange, actual)
         whitened.append(difference / np.repeat([1e-4, 1e-4], 3))
     assert config.repeatability_sigma_m == config.repeatability_sigma_rad == 1e-4
@@ -70,7 +70,8 @@ def test_rail_repeats_within_its_sigma_and_has_backlash_one_way(bench, spec, loo
     for target in targets(spec, look_at, n=N_DRAWS):
         b.devices.robot.move(target, timeout_s=60.0)
         flange = (lab.trs_from_rail.inv() * b.world.truth.trs_from_flange).translation
-        errors.append(flange[0] - target.base_from_flange.translation[0] - target.rail_m)
+        moved = flange - target.base_from_flange.translation
+        errors.append(moved[0] / lab.rail_axis[0] - target.rail_m)
     forward, backward = np.array(errors[::2]), np.array(errors[1::2])
     assert_chi_square(forward / 2e-5)
     assert_chi_square((backward - 2e-4) / 2e-5)
@@ -178,6 +179,27 @@ def test_window_must_have_a_length(bench, window_s: float):
         devices.tracker.measure_pose(window_s=window_s)
     with pytest.raises(LimitError, match="measure_point: window is"):
         devices.tracker.measure_point("lamp", window_s=window_s)
+
+
+def test_a_moved_tracker_sees_all_from_where_it_stands_now(bench):
+    """Pushed at the second measurement of a point, by 1 mm to the right of the model."""
+    moved = {"device": "tracker", "call": "measure_point", "at": 2, "error": "moved"}
+    b = bench(
+        faults=[{**moved, "moved_m": (0.0, 1e-3, 0.0)}],
+        tracker={"coordinate_sigma_m": 1e-9, "coordinate_sigma_m_per_m": 0.0},
+    )
+    tracker, trs_from_trk = b.devices.tracker, b.world.laboratory.trk_from_trs.inv()
+    before = tracker.measure_point("top_left", window_s=0.5)
+    pose_before = tracker.measure_pose(window_s=0.5).trk_from_tmac
+    after = [tracker.measure_point("top_left", window_s=0.5) for _ in range(2)]
+    pose_after = tracker.measure_pose(window_s=0.5).trk_from_tmac
+    for shift_trk in (
+        after[0].p_trk_m - before.p_trk_m,
+        after[1].p_trk_m - before.p_trk_m,
+        pose_after.translation - pose_before.translation,
+    ):
+        shift = trs_from_trk.rotation.apply(shift_trk)
+        np.testing.assert_allclose(shift, [0.0, -1e-3, 0.0], atol=1e-8)
 
 
 def test_a_longer_window_takes_longer_and_states_the_same_accuracy(bench):

@@ -19,6 +19,11 @@ for port in (1, "/dev/pts/9"):
     print(json.dumps({"device": "thing", "host": "127.0.0.1", "port": port}), flush=True)
 time.sleep(600)
 """
+ECHO = """
+import json, sys, time
+print(json.dumps({"device": "thing", "host": " ".join(sys.argv[1:]), "port": 1}), flush=True)
+time.sleep(600)
+"""
 BROKEN = "raise SystemExit(3)\n"
 MUTE = "import time\ntime.sleep(600)\n"
 CHATTY = 'import time\nprint("hello", flush=True)\ntime.sleep(600)\n'
@@ -27,7 +32,14 @@ DEAF = "import signal\nsignal.signal(signal.SIGTERM, signal.SIG_IGN)\n" + WELL
 
 @pytest.fixture(autouse=True)
 def _programs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    programs = {"well": WELL, "broken": BROKEN, "mute": MUTE, "chatty": CHATTY, "deaf": DEAF}
+    programs = {
+        "well": WELL,
+        "echo": ECHO,
+        "broken": BROKEN,
+        "mute": MUTE,
+        "chatty": CHATTY,
+        "deaf": DEAF,
+    }
     for name, text in programs.items():
         (tmp_path / f"sim_{name}.py").write_text(text)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
@@ -49,6 +61,20 @@ def test_a_fleet_gives_the_addresses_of_all_and_ends_them(tmp_path: Path):
         ships.check_alive()
         assert len(running(tmp_path, "well")) == 1
     assert running(tmp_path, "well") == []
+
+
+def test_each_is_told_the_rig_and_what_is_meant_for_its_kind():
+    with closing(
+        Fleet(
+            {"echo": "sim_echo"},
+            rig_path=Path("rig.yaml"),
+            world=("127.0.0.1", 1),
+            seed=4,
+            more_arguments={"echo": ("--faster", "20"), "other": ("--never",)},
+        )
+    ) as ships:
+        expected = "--rig rig.yaml --world 127.0.0.1:1 --seed 4 --session run --faster 20"
+        assert [address.host for address in ships.addresses] == [expected]
 
 
 def test_one_that_does_not_start_ends_all(tmp_path: Path):

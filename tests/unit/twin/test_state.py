@@ -49,17 +49,20 @@ def test_state_is_read_and_changed(store: StateStore):
     assert store.read() == STATE
     moved = RobotState.at(RobotTarget(2.0, POSE.inv()))
     store.change(robot_actual=moved, trs_from_board=(0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0))
+    store.change(tracker_shift_m=(0.0, 1e-3, 0.0))
     state = store.read()
     assert state.robot_actual == moved
     assert state.robot_encoders == STATE.robot_encoders
     assert state.trs_from_board == (0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+    assert state.tracker_shift_m == (0.0, 1e-3, 0.0)
 
 
 @settings(max_examples=50, deadline=None)
 @given(rail_m=finite, numbers=st.tuples(*[finite] * 7), level=finite)
 def test_json_keeps_every_bit(rail_m: float, numbers: tuple[float, ...], level: float):
     robot = RobotState(rail_m, numbers)  # type: ignore[arg-type]
-    state = WorldState(robot, robot, numbers, level, True, level, level, level)  # type: ignore[arg-type]
+    lamp, room = (numbers, level), (True, level, level, level)
+    state = WorldState(robot, robot, *lamp, *room, tracker_shift_m=numbers[:3])  # type: ignore[arg-type]
     assert WorldState.from_json(json.loads(json.dumps(state.as_json()))) == state
 
 

@@ -80,6 +80,16 @@ def test_light_and_its_reflector(
     np.testing.assert_allclose(offsets_m, config.lamp.housing_offset_m, rtol=1e-9)
 
 
+def test_the_stated_way_to_the_light_is_the_true_one_but_for_the_offset(
+    spec: LaboratorySpec, config: WorldConfig
+):
+    way = (0.1, -0.2, 0.05)
+    lamp = spec.lamp.model_copy(update={"light_from_reflector_m": way})
+    lab = build_laboratory(spec.model_copy(update={"lamp": lamp}), config)
+    off = lab.p_targets_trs_m[LAMP_TARGET] + way - lab.p_light_trs_m
+    assert np.linalg.norm(off) == pytest.approx(config.lamp.housing_offset_m)
+
+
 def test_reflectors_stand_within_a_millimetre_and_define_the_frame(
     laboratories: list[TrueLaboratory], spec: LaboratorySpec
 ):
@@ -92,6 +102,45 @@ def test_reflectors_stand_within_a_millimetre_and_define_the_frame(
         np.testing.assert_allclose(pose_difference(found, lab.trk_from_trs), 0.0, atol=1e-12)
     largest = np.abs(deviations).max()
     assert 0.0009 < largest <= 0.001
+
+
+MORE = {"far": (2.1, 4.1, 0.0), "mid": (1.1, 2.0, 0.2)}
+
+
+def test_surveyed_reflectors_are_where_they_were_found(spec: LaboratorySpec, config: WorldConfig):
+    reflectors = spec.reflectors.model_copy(update={"more_m": MORE})
+    surveyed = spec.model_copy(update={"reflectors": reflectors})
+    deviations = []
+    for seed in range(N_LABORATORIES):
+        lab = build_laboratory(surveyed, config.model_copy(update={"seed": seed}))
+        off = {n: lab.p_targets_trs_m[n] - p for n, p in reflectors.points_m.items()}
+        # Three define the frame, so it depends on nobody's survey.
+        assert not any(off["top_left"])
+        assert not any([*off["bottom_left"][1:], off["top_right"][2]])
+        deviations.append([off["bottom_left"][0], *off["top_right"][:2], *off["far"], *off["mid"]])
+    assert_chi_square(np.array(deviations) / config.tracker.survey_sigma_m)
+
+
+def test_the_tracker_sees_centres_above_the_marks(spec: LaboratorySpec, config: WorldConfig):
+    heights = {
+        "sphere_radius_m": 0.01905,
+        "nest_offset_m": 0.006,
+        "nest_offsets_m": {"top_right": 0.1},
+    }
+    reflectors = spec.reflectors.model_copy(update=heights)
+    bare = build_laboratory(spec, config).p_targets_trs_m
+    raised = build_laboratory(
+        spec.model_copy(update={"reflectors": reflectors}), config
+    ).p_targets_trs_m
+    for name, height_m in (("top_left", 0.02505), ("top_right", 0.11905), (LAMP_TARGET, 0.0)):
+        np.testing.assert_allclose(raised[name] - bare[name], [0.0, 0.0, height_m], atol=1e-12)
+
+
+def test_the_rail_runs_a_little_askew(laboratories: list[TrueLaboratory], config: WorldConfig):
+    axes = np.array([lab.rail_axis for lab in laboratories])
+    scales = np.linalg.norm(axes, axis=1)
+    assert_chi_square((scales - 1.0) / config.robot.rail_scale_sigma)
+    assert_chi_square(axes[:, 1:] / np.radians(config.robot.rail_axis_sigma_deg))
 
 
 def test_tracker_stands_in_the_room_upright_and_anywhere(

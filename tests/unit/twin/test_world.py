@@ -26,7 +26,7 @@ def test_camera_pose_is_the_chain_of_true_transforms(bench, spec, look_at):
     drive(b.devices, spec, look_at(z_m=2.5, tilt_x_deg=10.0))
     lab, at = b.world.truth.laboratory, b.devices.robot.read()
     rail_from_base = np.eye(4)
-    rail_from_base[0, 3] = at.rail_m
+    rail_from_base[:3, 3] = at.rail_m * lab.rail_axis
     chain = (
         lab.trs_from_rail.as_matrix()
         @ rail_from_base

@@ -14,7 +14,7 @@ from drivers.kuka.kinematics import (
     forward,
     singularities_near,
 )
-from tronlab.calib.stations import plan_stations
+from tronlab.calib.wizard.stations import plan_stations
 from tronlab.campaign.config import load_campaign
 from tronlab.campaign.rig import load_rig
 from tronlab.trajectory.poses import camera_poses

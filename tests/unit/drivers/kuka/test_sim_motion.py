@@ -63,6 +63,17 @@ def test_slowest_axis_sets_the_time_and_no_axis_exceeds_its_speed():
     np.testing.assert_array_equal(axes[-1], end)
 
 
+def test_a_faster_robot_does_every_move_in_so_much_less_time():
+    start, end = np.zeros(7), np.array([30.0, -20.0, 50.0, 5.0, 90.0, 10.0, 1500.0])
+    for path_end in (end, end * [1, 1, 1, 1, 1, 1, 0]):
+        path = AxisPath(start, path_end)
+        times_s = [
+            axis_profile(path, machine, speed=0.7, ramp=0.4).duration_s
+            for machine in (KR16, KR16.faster(20.0))
+        ]
+        assert times_s[0] == pytest.approx(20.0 * times_s[1], rel=1e-9)
+
+
 def test_rail_that_is_where_it_shall_be_does_not_move_at_all():
     end = HOME + np.array([1.0, 0, 0, 0, 0, 0, 1e-9])
     assert axis_path(HOME, end).at(1.0)[6] == HOME[6]

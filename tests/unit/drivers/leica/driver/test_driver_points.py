@@ -29,12 +29,18 @@ def seeing_reflector(peer, tracker: LeicaTracker) -> LeicaTracker:
     return tracker
 
 
+def stated(p_trk):
+    """Give the covariance of the accuracy a rig file need not state: 15 um + 6 um/m."""
+    return (15e-6 + 6e-6 * np.linalg.norm(p_trk)) ** 2 * np.eye(3)
+
+
 def test_point_is_measured_with_the_right_reflector(peer, seeing_reflector: LeicaTracker):
     reading = seeing_reflector.measure_point("top_left", window_s=2.0)
     assert reading.target == "top_left"
     np.testing.assert_array_equal(reading.p_trk_m, peer.p_top_left)
     expected = np.diag([4e-10, 4e-10, 16e-10])
     expected[0, 1] = expected[1, 0] = 1e-10
+    expected += stated(peer.p_top_left)
     np.testing.assert_allclose(reading.covariance_m2, expected, rtol=1e-12)
     assert peer.told(SET_MODE, SET_REFLECTOR, GET_REFLECTOR, POINT_LASER, FIND, START) == [
         *(SET_MODE, SET_REFLECTOR, GET_REFLECTOR, POINT_LASER, FIND, START)
@@ -51,7 +57,8 @@ def test_point_with_standard_statistics_has_no_covariances(peer, tracker: LeicaT
     peer.put(packet, 44, "3d", 1e-5, 2e-5, 3e-5)
     peer.answers[START] = peer.reply(START) + bytes(packet)
     reading = tracker.measure_point("top_left", window_s=0.5)
-    np.testing.assert_allclose(reading.covariance_m2, np.diag([1e-10, 4e-10, 9e-10]))
+    expected = np.diag([1e-10, 4e-10, 9e-10]) + stated(peer.p_top_left)
+    np.testing.assert_allclose(reading.covariance_m2, expected)
 
 
 def test_reflector_that_stays_another_one_is_refused(peer, seeing_reflector: LeicaTracker):

@@ -43,12 +43,17 @@ def test_pose_is_rotation_of_the_probe_in_the_tracker(peer, tracker: LeicaTracke
     assert peer.last(SET_MODE) == struct.pack("<I", 6)
 
 
-def test_covariance_of_a_pose_is_rotation_first(tracker: LeicaTracker):
+def test_covariance_of_a_pose_is_rotation_first_and_has_the_stated_accuracy(make, peer):
+    scatter = np.diag([1e-8, 4e-8, 9e-8, 4e-10, 4e-10, 16e-10])
+    scatter[1, 2] = scatter[2, 1] = 1e-9
+    scatter[3, 4] = scatter[4, 3] = 1e-10
+    accuracy = {"coordinate_sigma_m": 1e-5, "coordinate_sigma_m_per_m": 2e-5}
+    tracker = make(accuracy={**accuracy, "rotation_sigma_deg": 0.02})
+    tracker.connect()
     covariance = tracker.measure_pose(window_s=0.1).covariance
-    expected = np.diag([1e-8, 4e-8, 9e-8, 4e-10, 4e-10, 16e-10])
-    expected[1, 2] = expected[2, 1] = 1e-9
-    expected[3, 4] = expected[4, 3] = 1e-10
-    np.testing.assert_allclose(covariance, expected, rtol=1e-12)
+    sigma_m = 1e-5 + 2e-5 * np.sqrt(sum(p**2 for p in peer.p_tmac))
+    stated = np.repeat([np.radians(0.02) ** 2 / 3, sigma_m**2], 3)
+    np.testing.assert_allclose(covariance, scatter + np.diag(stated), rtol=1e-12)
 
 
 def test_head_stands_still_while_the_tmac_is_seen(peer, tracker: LeicaTracker):

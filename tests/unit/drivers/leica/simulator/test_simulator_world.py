@@ -8,11 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
+from scipy.stats import chi2
 
 from drivers.leica.simulator.__main__ import main
-from drivers.leica.simulator.scene import WorldScene
+from drivers.leica.simulator.scene import SCATTER_M, SCATTER_RAD, WorldScene
 from tronlab.campaign.rig import load_rig
+from tronlab.devices.accuracy import StatedAccuracy
 from tronlab.devices.readings import RobotTarget
+from tronlab.geometry.uncertainty import pose_difference
 from tronlab.twin.instruments import TrackerOptics, noise_of
 from tronlab.twin.server import StateServer
 from tronlab.twin.world import WallClock, World
@@ -72,7 +75,7 @@ def test_points_and_poses_are_those_of_the_world(make_rig, world):
 
 
 def test_noise_is_the_stream_of_the_twin_in_one_process(make_rig, world):
-    """One draw a measurement, and none for pointing or looking."""
+    """One draw a measurement, and none for pointing or looking; but for the small scatter."""
     rig = make_rig(scene=WorldScene(world, noise()))
     twin = TrackerOptics(world, noise())
     client = rig.client
@@ -80,14 +83,35 @@ def test_noise_is_the_stream_of_the_twin_in_one_process(make_rig, world):
     for name in ("top_left", "lamp"):
         client.do(58, "3d", *rig.scene.reflectors[name])
         seen = client.measure(types=(2,)).floats(20)
-        assert seen == pytest.approx(twin.point(name).p_trk_m, abs=1e-12)
+        assert seen == pytest.approx(twin.point(name).p_trk_m, abs=5 * SCATTER_M)
     client.do(24, "I", 6)
     client.do(58, "3d", *rig.scene.trk_from_tmac.translation)
     packet = client.measure(types=(4,))
     expected = twin.pose().trk_from_tmac
     x, y, z, w = expected.rotation.as_quat()
-    assert packet.floats(48) == pytest.approx(expected.translation, abs=1e-12)
-    assert packet.floats(184, 4) == pytest.approx([w, x, y, z], abs=1e-12)
+    assert packet.floats(48) == pytest.approx(expected.translation, abs=5 * SCATTER_M)
+    assert packet.floats(184, 4) == pytest.approx([w, x, y, z], abs=5 * SCATTER_RAD)
+
+
+def test_what_the_tracker_reports_and_its_stated_accuracy_make_its_error(world):
+    """It reports the scatter only; chi-square of 50 readings of a point and 50 of a pose."""
+    scene = WorldScene(world, noise())
+    accuracy = StatedAccuracy()
+    p_true, pose_true = scene.reflectors["lamp"], scene.trk_from_tmac
+    misfit = 0.0
+    for _ in range(50):
+        point, pose = scene.point("lamp"), scene.pose()
+        np.testing.assert_allclose(np.sqrt(np.diag(point.covariance_m2)), SCATTER_M)
+        covariance = point.covariance_m2 + accuracy.point_covariance(p_true)
+        misfit += chi_square(point.p_trk_m - p_true, covariance)
+        covariance = pose.covariance + accuracy.pose_covariance(pose_true.translation)
+        misfit += chi_square(pose_difference(pose_true, pose.trk_from_tmac), covariance)
+    low, high = chi2.ppf([0.005, 0.995], 50 * 9)
+    assert low < misfit < high
+
+
+def chi_square(error, covariance) -> float:
+    return float(error @ np.linalg.solve(covariance, error))
 
 
 def test_serial_is_that_of_the_laboratory(make_rig, world):

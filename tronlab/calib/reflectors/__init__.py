@@ -1,0 +1,1 @@
+"""What reflectors tell: the model frame, the lamp, and whether the tracker has moved."""

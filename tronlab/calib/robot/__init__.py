@@ -1,0 +1,1 @@
+"""Where robot and rail stand, so that poses can be driven to."""
