@@ -74,7 +74,7 @@ def read_laboratory() -> Laboratory:
     record = CalibrationRecord.load(ROOT / "calibration/records/twin.json")
     mounting = rig.config.laboratory.mounting
     trs_from_cam = pose_along_boresight(P_CAM_TRS_M, boresight=[0, 0, -1], right=[0, 1, 0])
-    target = mounting.robot_target(trs_from_cam)
+    target = mounting.nominal.robot_target(trs_from_cam)
     trs_from_rail = mounting.trs_from_rail.pose
     trs_from_base = trs_from_rail * RigidTransform.from_translation([target.rail_m, 0.0, 0.0])
     trs_from_flange = trs_from_base * target.base_from_flange

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 
-from tronlab.calib.camera.projection import intrinsics_of
+from tronlab.calib.camera.projection import free_intrinsics, intrinsics_of
 from tronlab.calib.record import CalibrationRecord
 from tronlab.campaign.rig import Rig, load_rig
 from tronlab.geometry.uncertainty import pose_difference
@@ -50,13 +50,22 @@ def test_it_is_for_the_rig_file_as_it_is(rig: Rig, record: CalibrationRecord) ->
 def test_frame_hand_eye_and_camera_are_true(
     record: CalibrationRecord, truth: TrueLaboratory
 ) -> None:
-    frame = pose_difference(record.trs_from_trk, truth.trk_from_trs.inv())
-    assert nees(frame, record.trs_from_trk_covariance) < chi2.ppf(0.999, 6)
+    frame, camera, hand_eye = (
+        record.results.frame,
+        record.results.camera,
+        record.results.hand_eye,
+    )
+    assert frame is not None
+    assert camera is not None
+    assert hand_eye is not None
+    frame_error = pose_difference(frame.trs_from_trk, truth.trk_from_trs.inv())
+    assert nees(frame_error, frame.covariance) < chi2.ppf(0.999, 6)
     tmac_from_cam = truth.flange_from_tmac.inv() * truth.flange_from_cam
-    hand_eye = pose_difference(record.tmac_from_cam, tmac_from_cam)
-    assert nees(hand_eye, record.tmac_from_cam_covariance) < chi2.ppf(0.999, 6)
-    intrinsics = intrinsics_of(record.camera) - intrinsics_of(truth.camera)
-    assert nees(intrinsics, record.camera_covariance) < chi2.ppf(0.999, 9)
+    hand_eye_error = pose_difference(hand_eye.tmac_from_cam, tmac_from_cam)
+    assert nees(hand_eye_error, hand_eye.covariance) < chi2.ppf(0.999, 6)
+    free = free_intrinsics(camera.model)
+    error = intrinsics_of(camera.camera) - intrinsics_of(truth.camera)
+    assert nees(error[free], camera.covariance[np.ix_(free, free)]) < chi2.ppf(0.999, len(free))
 
 
 def test_points_are_projected_where_they_are_seen(
@@ -68,11 +77,21 @@ def test_points_are_projected_where_they_are_seen(
     assert error_px.max() < 0.4
 
 
-def test_the_lamp_reflector_is_where_it_is(
+def test_the_light_is_where_it_is(record: CalibrationRecord, truth: TrueLaboratory) -> None:
+    lamp = record.results.lamp
+    assert lamp is not None
+    assert nees(lamp.p_trs_m - truth.p_light_trs_m, lamp.covariance_m2) < chi2.ppf(0.999, 3)
+
+
+def test_robot_and_rail_stand_where_they_do(
     record: CalibrationRecord, truth: TrueLaboratory
 ) -> None:
-    error = record.p_lamp_trs_m - truth.p_targets_trs_m["lamp"]
-    assert nees(error, record.p_lamp_trs_covariance_m2) < chi2.ppf(0.999, 3)
+    robot = record.results.robot
+    assert robot is not None
+    rail = pose_difference(robot.trs_from_rail, truth.trs_from_rail)
+    tmac = pose_difference(robot.flange_from_tmac, truth.flange_from_tmac)
+    error = np.concatenate([rail, truth.rail_axis - robot.rail_axis, tmac])
+    assert nees(error, robot.covariance) < chi2.ppf(0.999, 15)
 
 
 def test_the_pose_of_shots_is_true(rig: Rig, record: CalibrationRecord) -> None:

@@ -14,7 +14,7 @@ from drivers.kuka.kinematics import (
     forward,
     singularities_near,
 )
-from tronlab.calib.wizard.stations import plan_stations
+from tronlab.calib.wizard.stations import POOL_SIZE, plan_stations
 from tronlab.campaign.config import load_campaign
 from tronlab.campaign.rig import load_rig
 from tronlab.trajectory.poses import camera_poses
@@ -68,7 +68,7 @@ def test_every_pose_of_the_straight_line_is_reached_in_one_branch(rig, parked):
 def test_every_station_of_the_calibration_is_reached(rig, parked):
     laboratory = rig.config.laboratory
     path = follow(plan_stations(laboratory), parked, laboratory.mounting)
-    assert len(path) == 27
+    assert len(path) == POOL_SIZE
     assert all(excesses(axes) == [] for axes in path)
 
 
