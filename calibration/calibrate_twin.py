@@ -6,7 +6,8 @@ Run from the root of the repository; it replaces calibration/records/twin.json:
     python calibration/calibrate_twin.py frame      # the tracker was moved: only this
 
 For a rig of your own, copy this file and change the first three lines. ``tronlab calibrate`` does
-the same, asks before each move, keeps the old record, and goes on after an interruption.
+the same, asks before each move, and loses nothing: the old record is kept, and what was measured
+before an interruption.
 """
 
 import sys
@@ -26,7 +27,9 @@ RIG = Path("campaigns/rigs/twin.yaml")
 RECORD = Path("calibration/records/twin.json")
 SETTINGS = Settings(n_stations=20, n_reflector_readings=8)
 
-parts = sys.argv[1:] or ALL_PARTS
+parts = [part.replace("-", "_") for part in sys.argv[1:]] or ALL_PARTS
+if unknown := set(parts) - {*ALL_PARTS, "intrinsics"}:
+    sys.exit(f"no part is called {', '.join(sorted(unknown))}: {', '.join(ALL_PARTS)}, intrinsics")
 rig = load_rig(RIG)
 laboratory = rig.config.laboratory
 with (

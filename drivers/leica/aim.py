@@ -42,6 +42,9 @@ class Aim:
         self._is_on_tmac = False
         self._lost_towards: Direction | None = None
         """Where the head pointed when it lost the T-MAC; None once it was found again."""
+        self._found_towards: Direction | None = None
+        """Where the head pointed when the beam was on the T-MAC from an earlier session; None once
+        it was measured in this one."""
 
     def reset(self) -> None:
         """Forget what the beam was on: the head has moved, or the connection is a new one."""
@@ -64,6 +67,9 @@ class Aim:
         self._controller.set_mode(Mode.POSE)
         if not self._beam.sees(Ready.PROBE_FOUND):
             self._lock_on_tmac()
+        elif self._p_tmac_trk is None:
+            with suppress(DeviceFaultError):  # a controller that does not tell
+                self._found_towards = self._controller.direction()
         if not self._is_on_tmac:
             self._controller.probe_info()
         self._is_on_tmac = True
@@ -83,6 +89,7 @@ class Aim:
     def tmac_is_at(self, p_trk_m: FloatArray) -> None:
         """Remember where the T-MAC was measured."""
         self._p_tmac_trk = p_trk_m
+        self._found_towards = None
 
     def _lock_on_tmac(self) -> None:
         if self._beam.has_invalid_pose() and not self._beam.is_lost:
@@ -114,7 +121,7 @@ class Aim:
         home = Place(np.array(tmac.p_trk_m), tmac.search_radius_m)
         if self._p_tmac_trk is None:
             return [home]
-        last = Place(self._p_tmac_trk, tmac.search_radius_m)
+        last = Place(self._p_tmac_trk, tmac.search_radius_m, direction=self._found_towards)
         # The head stays where the beam broke: the robot may have moved since the last measurement.
         if self._is_on_tmac:
             return [self._here(), last, home]

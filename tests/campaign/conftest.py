@@ -1,20 +1,12 @@
 """A small simulated laboratory in files: 64 x 64 pixels, a coarse terrain, a few shots."""
 
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from perfect_record import save_perfect_record
 from ruamel.yaml import YAML
-
-from tronlab.calib.inputs import FrameInput, points_of
-from tronlab.calib.record import CalibrationRecord
-from tronlab.campaign.rig import load_rig
-from tronlab.devices.readings import PointReading
-from tronlab.twin.truth import build_laboratory
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -70,33 +62,9 @@ def make_record(tmp_path: Path) -> Callable[[Path], Path]:
     """``make_record(rig_path)`` writes a perfect calibration record: the world's own truth."""
 
     def make(rig_path: Path) -> Path:
-        path = save_perfect_record(tmp_path / "record.json", rig_path=rig_path)
-        record = CalibrationRecord.load(path)
-        frame = _measured_reflectors(rig_path)
-        replace(record, inputs=record.inputs.with_parts(frame=frame)).save(path)
-        return path
+        return save_perfect_record(tmp_path / "record.json", rig_path=rig_path)
 
     return make
-
-
-def _measured_reflectors(rig_path: Path) -> FrameInput:
-    """Give the reflectors where they truly are, as if measured by a tracker of 20 um."""
-    config = load_rig(rig_path).config
-    assert config.world is not None
-    laboratory = build_laboratory(config.laboratory, config.world)
-    reflectors = config.laboratory.reflectors
-    readings = {
-        name: PointReading(
-            target=name,
-            p_trk_m=laboratory.trk_from_trs.apply(laboratory.p_targets_trs_m[name]),
-            covariance_m2=2e-5**2 * np.eye(3),
-            time_s=0.0,
-        )
-        for name in reflectors.points_m
-    }
-    return FrameInput(
-        measured_utc="2026-01-02T03:04:05Z", reflectors=reflectors, points=points_of(readings)
-    )
 
 
 @pytest.fixture

@@ -75,7 +75,7 @@ def moved_camera(path: Path) -> Path:
         hand_eye, tmac_from_cam=hand_eye.tmac_from_cam * RigidTransform.from_translation(SHIFT_M)
     )
     target = path.with_name("moved.json")
-    record.with_results(replace(record.results, hand_eye=moved)).save(target)
+    replace(record, results=replace(record.results, hand_eye=moved)).save(target)
     return target
 
 
@@ -197,7 +197,7 @@ def test_a_record_for_images_of_another_size_is_refused(
     camera = record.results.camera
     assert camera is not None
     wide = replace(camera, camera=replace(camera.camera, width_px=128))
-    record.with_results(replace(record.results, camera=wide)).save(record_path)
+    replace(record, results=replace(record.results, camera=wide)).save(record_path)
     with pytest.raises(CalibrationError, match=r"images of 128 x 64 pixels, those of .* 64 x 64"):
         recompute_truth(
             recorded, record_path, out=tmp_path / "new.h5", is_calibration_accepted=True
@@ -210,13 +210,24 @@ def test_what_cannot_be_done_leaves_nothing_behind(
     new = tmp_path / "new.h5"
     with pytest.raises(DatasetError, match="exists already and is never overwritten"):
         recompute_truth(recorded, record_path, out=recorded)
+    for nowhere in (tmp_path / "nowhere", recorded):
+        with pytest.raises(DatasetError, match=rf"new\.h5: the directory {nowhere} does not exist"):
+            recompute_truth(recorded, record_path, out=nowhere / "new.h5")
 
     def fail(*_: object, **__: object) -> None:
         raise OSError(28, "No space left on device")
 
+    def interrupt(_: object, target: Path) -> None:
+        target.write_bytes(b"half a copy")
+        raise KeyboardInterrupt
+
     with monkeypatch.context() as patch:
         patch.setattr("tronlab.dataset.rewriter.DatasetRewriter.write_references", fail)
         with pytest.raises(DatasetError, match=r"new\.h5: cannot be made: .*No space left"):
+            recompute_truth(recorded, record_path, out=new)
+    with monkeypatch.context() as patch:
+        patch.setattr("tronlab.dataset.rewriter.shutil.copyfile", interrupt)
+        with pytest.raises(KeyboardInterrupt):
             recompute_truth(recorded, record_path, out=new)
     with h5py.File(recorded, "r+") as file:
         file["entry/instrument/tracker/time_s"][1] = 0.0

@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from ruamel.yaml import YAML
 from scipy.stats import chi2
-from wire_laboratory import WireLaboratory
+from wire_laboratory import WireLaboratory, write_yaml
 
 from tronlab.campaign.run import run_campaign
 from tronlab.dataset.reader import Dataset
@@ -161,6 +162,22 @@ def test_a_fault_that_passes_costs_time_but_no_shot(
     assert validate(path) == []
     with Dataset(path) as dataset:
         assert dataset.shot(1).attempt > 1
+
+
+def test_a_tracker_pushed_on_the_wire_is_found_and_the_shots_are_suspect(
+    wire: WireLaboratory, campaign_path: Path, tmp_path: Path
+):
+    root = YAML().load(campaign_path.read_text())
+    root["trajectory"]["n_points"] = 2
+    write_yaml(campaign_path, {**root, "drift": {"window_s": 0.1}})
+    shift_m = (0.002, -0.001, 0.002)
+    live = Recorder(lambda _n_done: wire.state.change(tracker_shift_m=shift_m))
+    path = run_campaign(campaign_path, rig_path=wire.rig.path, out_dir=tmp_path / "out", live=live)
+    assert live.said("drift check at the start: nothing moved"), live.texts
+    assert live.said("drift check after 2 shots: the tracker moved"), live.texts
+    with Dataset(path) as dataset:
+        assert dataset.truth_states == ("suspect", "suspect")
+        assert dataset.drift_checks[-1].max_shift_m == pytest.approx(0.003, abs=5e-4)
 
 
 @pytest.mark.parametrize("kind", ["camera", "robot"])

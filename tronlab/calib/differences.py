@@ -24,6 +24,7 @@ _STEP = 1e-6
 """Turn by which derivatives are taken, radians."""
 _SMALLEST_EIGENVALUE = 1e-12
 """Of a correlation matrix; smaller ones are rounding errors."""
+_SAME_PLACE_M = 1e-9
 _POSE_AXES = (
     *((f"turn about {axis}", "mdeg", _MDEG) for axis in "xyz"),
     *((f"shift along {axis}", "mm", _MM) for axis in "xyz"),
@@ -85,10 +86,27 @@ def camera_difference(first: CameraResult, second: CameraResult) -> Difference:
 
 
 def lamp_difference(first: LampResult, second: LampResult) -> Difference:
-    """Give how far the lamp moved."""
+    """Give how far the lamp moved.
+
+    The light is where it was in its housing, unless the rig file says otherwise: how well that
+    place is known makes the light uncertain, but not its way.
+    """
     values = second.p_trs_m - first.p_trs_m
     covariance = first.covariance_m2 + second.covariance_m2
+    if _is_same_housing(first, second):
+        common_m2 = sum(lamp.statistics["light_sigma_m"] ** 2 for lamp in (first, second))
+        covariance = covariance - common_m2 * np.eye(3)
     return Difference(_POSE_AXES[3:], values, covariance, _length(values))
+
+
+def _is_same_housing(first: LampResult, second: LampResult) -> bool:
+    """Tell whether both have the light at the same place behind its reflector."""
+    if not all("p_reflector_trs_m" in lamp.statistics for lamp in (first, second)):
+        return False
+    offsets_m = [
+        lamp.p_trs_m - np.array(lamp.statistics["p_reflector_trs_m"]) for lamp in (first, second)
+    ]
+    return bool(np.allclose(*offsets_m, rtol=0.0, atol=_SAME_PLACE_M))
 
 
 def robot_difference(first: RobotResult, second: RobotResult) -> Difference:

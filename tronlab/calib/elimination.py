@@ -18,11 +18,17 @@ from tronlab.geometry.poses import FloatArray
 N_OWN = 6
 """A block's own unknowns: a pose."""
 
-_FIRST_DAMPING = 1e-4
+_FIRST_DAMPING = 1e-16
+"""Directions that are determined only weakly already feel it, the others need more."""
 _LAST_DAMPING = 1e8
-_MAX_STEPS = 50
+_LEAST_SHRINKAGE = 1 / 3
+"""Of the damping after a step that did what it promised."""
+_MAX_STEPS = 100
 _CONVERGED = 1e-12
 """Relative change of the sum of squares a step must promise to be worth taking."""
+_NEGLIGIBLE = 1e-3
+"""Change of the sum of squares that says nothing: no unknown is then more than 0.03 of its sigma
+away."""
 _SMALLEST_PIVOT = 1e-10
 """Relative to its column; below, the unknown is a combination of the others."""
 
@@ -134,28 +140,52 @@ def eliminate(rows: Rows) -> Elimination:
     return Elimination(triangular[:, :N_OWN], triangular[:, N_OWN:, N_OWN:], rows.shared)
 
 
+@dataclass(frozen=True, slots=True)
+class _Step:
+    """Where a linear problem has its least sum of squares."""
+
+    own: FloatArray
+    common: FloatArray
+    promise: float
+    """By how much the sum of squares falls, if the problem is linear."""
+
+    @classmethod
+    def of(cls, rows: Rows) -> "_Step":
+        """Solve the linear problem."""
+        eliminated = eliminate(rows)
+        common = eliminated.common()
+        explained = (eliminated.own[:, :, -1] ** 2).sum() + common.residual @ common.residual
+        return cls(eliminated.own_steps(common.step), common.step, float(explained))
+
+
 def minimise(problem: Problem[S], state: S) -> S:
     """Find the state of the least sum of squares by Levenberg's and Marquardt's method.
 
-    Steps are undamped as long as the sum of squares falls: problems here are close to linear.
+    Steps are undamped as long as the sum of squares falls: problems here are close to linear. Else
+    the damping follows from what a step did of what it promised (Nielsen, Damping parameter in
+    Marquardt's method, IMM, DTU, 1999): a direction that is determined only weakly needs just so
+    much damping, and would bounce between too much and none.
 
     Raises:
         CalibrationError: No convergence, or the measurements do not determine the solution.
     """
-    rows, damping = problem.rows(state), 0.0
+    rows, damping, growth = problem.rows(state), 0.0, 2.0
     for _ in range(_MAX_STEPS):
-        eliminated = eliminate(_damped(rows, damping))
-        common = eliminated.common()
-        moved = problem.moved(state, eliminated.own_steps(common.step), common.step)
-        promised = float((eliminated.own[:, :, -1] ** 2).sum() + common.residual @ common.residual)
-        if damping == 0.0 and promised < _CONVERGED * (1.0 + rows.cost):
-            return moved
+        full = _Step.of(rows)
+        if full.promise < _CONVERGED * (1.0 + rows.cost):
+            return problem.moved(state, full.own, full.common)
+        step = full if damping == 0.0 else _Step.of(_damped(rows, damping))
+        moved = problem.moved(state, step.own, step.common)
         moved_rows = problem.rows(moved)
         if moved_rows.cost < rows.cost:  # false for NaN
+            gain = min(1.0, (rows.cost - moved_rows.cost) / step.promise)
+            damping *= max(_LEAST_SHRINKAGE, 1.0 - (2.0 * gain - 1.0) ** 3)
+            damping, growth = damping if damping > _FIRST_DAMPING else 0.0, 2.0
             state, rows = moved, moved_rows
-            damping = damping / 10 if damping > _FIRST_DAMPING else 0.0
+        elif full.promise < _NEGLIGIBLE:
+            return state
         elif damping < _LAST_DAMPING:
-            damping = max(10 * damping, _FIRST_DAMPING)
+            damping, growth = max(growth * damping, _FIRST_DAMPING), 2.0 * growth
         else:
             break
     raise CalibrationError("the least-squares solution does not converge")

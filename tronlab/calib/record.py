@@ -9,7 +9,7 @@ import hashlib
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, TypeVar
@@ -255,10 +255,6 @@ class CalibrationRecord:
                 f" {self.created_utc}: {'; '.join(exchanged)};"
                 "\nmake a new one: tronlab calibrate all --rig RIG.yaml"
             )
-
-    def with_results(self, results: Results) -> "CalibrationRecord":
-        """Give the same record with other results, as a rerun does."""
-        return replace(self, results=results)
 
     def _part(self, part: T | None, name: str) -> T:
         if part is None:

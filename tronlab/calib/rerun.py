@@ -6,7 +6,9 @@ from typing import Any, cast
 
 import numpy as np
 
+from tronlab.calib.inputs import Inputs
 from tronlab.calib.record import CalibrationRecord
+from tronlab.calib.results import Results
 from tronlab.calib.results_json import results_to_json
 from tronlab.calib.solve import solve
 from tronlab.errors import CalibrationError
@@ -28,6 +30,9 @@ class Rerun:
     """Results the record had."""
     new_parts: tuple[str, ...]
     """Results it did not have, as one of an interrupted session."""
+    unsolved: Mapping[str, str]
+    """Parts of an interrupted session that determine no answer yet, and why; the new record is
+    without them."""
 
 
 def rerun(record: CalibrationRecord, software: Mapping[str, str]) -> Rerun:
@@ -37,6 +42,9 @@ def rerun(record: CalibrationRecord, software: Mapping[str, str]) -> Rerun:
         record: The record.
         software: Versions, for the new one.
 
+    A record without results is that of an interrupted session: its last part may determine no
+    answer yet, then the others are solved without it.
+
     Raises:
         CalibrationError: It has no inputs, or they determine no answer.
     """
@@ -44,7 +52,10 @@ def rerun(record: CalibrationRecord, software: Mapping[str, str]) -> Rerun:
         raise CalibrationError(
             f"calibration record {record.source}: inputs: nothing was measured: nothing to solve"
         )
-    again = replace(record, results=solve(record.inputs), software=dict(software))
+    inputs, unsolved = record.inputs, dict[str, str]()
+    if record.results == Results():
+        inputs, unsolved = _solvable(record.inputs)
+    again = replace(record, inputs=inputs, results=solve(inputs), software=dict(software))
     # Compared as the file has them: it is the file that must be reproducible.
     before, now = results_to_json(record.results), results_to_json(again.results)
     again_found = {name: part for name, part in now.items() if name in before}
@@ -53,7 +64,28 @@ def rerun(record: CalibrationRecord, software: Mapping[str, str]) -> Rerun:
         differences=tuple(_differences(before, again_found, "")),
         old_parts=tuple(before),
         new_parts=tuple(name for name in now if name not in before),
+        unsolved=unsolved,
     )
+
+
+def _solvable(inputs: Inputs) -> tuple[Inputs, dict[str, str]]:
+    """Give the parts that determine an answer, and why the others do not.
+
+    Raises:
+        CalibrationError: None does.
+    """
+    found, unsolved = Inputs(), dict[str, str]()
+    for name in inputs.measured_utc:
+        part = {name: getattr(inputs, name)}
+        try:
+            solve(Inputs().with_parts(**part))
+        except CalibrationError as error:
+            unsolved[name] = str(error)
+        else:
+            found = found.with_parts(**part)
+    if not found.measured_utc:
+        raise CalibrationError("\n".join(unsolved.values()))
+    return found, unsolved
 
 
 def _differences(before: Any, now: Any, key: str) -> Iterator[str]:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import TYPE_CHECKING, TypeAlias
 
 import typer
@@ -66,8 +67,12 @@ def journal(path: Path) -> Generator[Keep]:
 
     Args:
         path: File of the record to be.
+
+    Raises:
+        CalibrationError: Its folder cannot be written; nothing was measured yet.
     """
     part = part_path(path)
+    _check_folder(path)
     keep_old(part)
     part.unlink(missing_ok=True)
     try:
@@ -80,6 +85,18 @@ def journal(path: Path) -> Generator[Keep]:
                 err=True,
             )
         raise
+
+
+def _check_folder(path: Path) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with TemporaryFile(dir=path.parent):
+            pass
+    except OSError as error:
+        raise CalibrationError(
+            f"calibration record {path}: its folder cannot be written: {error.strerror};"
+            "\nname another file: --record RECORD.json"
+        ) from error
 
 
 def save_record(record: "CalibrationRecord", path: Path) -> Path | None:

@@ -10,7 +10,8 @@ from tronlab.errors import CalibrationError
 def rerun_record(path: Path, out: Path | None) -> bool:
     """Solve a record again, print how it compares, and write it if a file is named.
 
-    A record whose signature is broken is solved all the same: its readings are still there.
+    A record whose signature is broken is solved all the same: its readings are still there. The
+    file that was read stays as it is, unless it is the one that is named.
 
     Returns:
         Whether the answer is the one that the record has.
@@ -21,7 +22,7 @@ def rerun_record(path: Path, out: Path | None) -> bool:
     from tronlab.calib.record import CalibrationRecord
     from tronlab.calib.rerun import TOLERANCE, rerun
     from tronlab.campaign.provenance import software_versions
-    from tronlab.cli.calibration_files import save_record
+    from tronlab.cli.calibration_files import keep_old
     from tronlab.cli.calibration_verdict import verdict
 
     try:
@@ -33,6 +34,9 @@ def rerun_record(path: Path, out: Path | None) -> bool:
     typer.echo(verdict(again.record))
     if again.new_parts:
         typer.echo(f"solved for the first time: {', '.join(again.new_parts)}")
+    for name, reason in again.unsolved.items():
+        command = f"tronlab calibrate {name.replace('_', '-')} --rig RIG.yaml"
+        typer.echo(f"left out, measure it anew: {command} --record {out or 'NEW.json'}\n  {reason}")
     for difference in again.differences:
         typer.echo(difference)
     if again.differences:
@@ -40,6 +44,7 @@ def rerun_record(path: Path, out: Path | None) -> bool:
     elif again.old_parts:
         typer.echo(f"the answer is the same, to {TOLERANCE:g} of each value")
     if out is not None:
-        save_record(again.record, out)
+        keep_old(out)
+        again.record.save(out)
         typer.echo(out)
     return not again.differences

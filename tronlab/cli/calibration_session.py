@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from tronlab.calib.record import CalibrationRecord
     from tronlab.calib.wizard import Dialogue
     from tronlab.campaign.rig import Rig
-    from tronlab.devices.laboratory import MountingSpec
+    from tronlab.devices.laboratory import LaboratorySpec, MountingSpec
     from tronlab.devices.mounting import Mounting
     from tronlab.devices.readings import DeviceIdentity
     from tronlab.devices.registry import Devices
@@ -89,7 +89,7 @@ def finish(record: "CalibrationRecord", path: Path) -> None:
     typer.echo(verdict(record))
     pictures = write_pictures(record, path.with_name(f"{path.stem}_pictures"))
     if pictures:
-        typer.echo(f"{len(pictures)} pictures in {pictures[0].parent}")
+        typer.echo(f"pictures: {len(pictures)} in {pictures[0].parent}")
     if kept:
         typer.echo(f"the record before is kept in {kept}")
     typer.echo(path)
@@ -134,13 +134,28 @@ def _measure(
             _identities(parts, devices),
             valid_days=rig.config.calibration.valid_days,
         )
-        if "robot" in needed and not dialogue.confirm(
-            "The robot will move; you are asked before each move. Go on?"
-        ):
-            raise typer.Abort
         laboratory = rig.config.laboratory
+        if not _is_ready(dialogue, parts, laboratory, is_moving="robot" in needed):
+            raise typer.Abort
         bench = Bench(devices, laboratory, dialogue, _mounting(before, laboratory.mounting))
         return calibrate(parts, bench, draft, keep=keep)
+
+
+def _is_ready(
+    dialogue: "Dialogue",
+    parts: "tuple[PartName, ...]",
+    laboratory: "LaboratorySpec",
+    *,
+    is_moving: bool,
+) -> bool:
+    """Say what must be prepared, and ask whether it is."""
+    if {"frame", "lamp", "robot"}.intersection(parts):
+        targets = [*laboratory.reflectors.points_m, *(["lamp"] if "lamp" in parts else [])]
+        dialogue.announce(
+            f"Seat the reflectors: {', '.join(targets)}; keep the tracker's beam free."
+        )
+    move = "The robot will move; you are asked before each move. " if is_moving else ""
+    return dialogue.confirm(f"{move}Go on?")
 
 
 @contextmanager

@@ -4,6 +4,7 @@ import hashlib
 import os
 import shutil
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from types import TracebackType
@@ -47,15 +48,19 @@ class DatasetRewriter:
             raise DatasetError(
                 f"{target}: exists already and is never overwritten; choose another --out"
             )
+        if not target.parent.is_dir():
+            raise DatasetError(f"{target}: the directory {target.parent} does not exist")
         _check_values(source)
         self.target = target
         self._part = target.with_name(target.name + ".part")
         try:
             shutil.copyfile(source, self._part)
             self._file = h5py.File(self._part, "r+")
-        except OSError as error:
-            self._part.unlink(missing_ok=True)
-            raise DatasetError(f"{target}: cannot be made: {error}") from error
+        except BaseException as error:
+            self._remove_part()
+            if isinstance(error, OSError):
+                raise DatasetError(f"{target}: cannot be made: {error}") from error
+            raise
 
     def __enter__(self) -> Self:
         return self
@@ -74,7 +79,7 @@ class DatasetRewriter:
             if error is None:
                 raise DatasetError(f"{self.target}: cannot be made: {failure}") from failure
         finally:
-            self._part.unlink(missing_ok=True)
+            self._remove_part()
         if isinstance(error, _WRITE_ERRORS):
             raise DatasetError(f"{self.target}: cannot be made: {error}") from error
 
@@ -141,6 +146,10 @@ class DatasetRewriter:
             self._replace_texts(schema.RECOMPUTED, asdict(provenance.recomputation))
         version = ".".join(map(str, schema.SCHEMA_VERSION))
         self._file.attrs[schema.SCHEMA_ATTRIBUTE] = version
+
+    def _remove_part(self) -> None:
+        with suppress(OSError):  # it must not hide what went wrong before
+            self._part.unlink()
 
     def _close(self) -> None:
         try:

@@ -126,9 +126,11 @@ def unit(vector: ArrayLike, *, what: str = "direction") -> FloatArray:
 
 
 def skew(v: ArrayLike) -> FloatArray:
-    """Give the matrix [v]x of the cross product, shape (3, 3)."""
-    x, y, z = np.asarray(v, dtype=np.float64)
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    """Give the matrices [v]x of the cross product, shape (..., 3, 3), of vectors (..., 3)."""
+    vectors = np.asarray(v, dtype=np.float64)
+    matrices = np.zeros((*vectors.shape, 3))
+    matrices[..., [2, 0, 1], [1, 2, 0]] = vectors
+    return matrices - np.swapaxes(matrices, -1, -2)
 
 
 def _finite(value: ArrayLike, *, shape: tuple[int, ...], what: str) -> FloatArray:

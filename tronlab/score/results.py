@@ -264,6 +264,8 @@ def _read_scores(path: Path) -> pd.DataFrame:
         # As text first: pandas 2 reads floats of its own making, which may be off in the last
         # digit, and rows that stay are written again.
         table = pd.read_csv(path, dtype="str", keep_default_na=False, na_values=[""])
+        if "truth_state" not in table.columns:  # scored before there were drift checks
+            table["truth_state"] = "unchecked"
         missing = [name for name in COLUMNS if name not in table.columns]
         if missing:
             raise ScoreError(f"{path}: columns are missing: {', '.join(missing)}")

@@ -96,11 +96,12 @@ def _workers(
                 workers.append(_start_worker(dataset_path, core_names))
         yield workers
     finally:
-        for worker in workers:
-            worker.process.terminate()
-        for worker in workers:
-            worker.process.join()
-            worker.connection.close()
+        with interrupts_held():  # a second Ctrl-C must not leave one behind
+            for worker in workers:
+                worker.process.terminate()
+            for worker in workers:
+                worker.process.join()
+                worker.connection.close()
 
 
 def _start_worker(dataset_path: Path, core_names: tuple[str, ...]) -> _Worker:
@@ -115,7 +116,8 @@ def _start_worker(dataset_path: Path, core_names: tuple[str, ...]) -> _Worker:
 def _work(connection: Connection, dataset_path: Path, core_names: tuple[str, ...]) -> None:
     """Score the shots asked for; an error goes back as an answer, so that it arrives whole."""
     scorer: ShotScorer | None = None
-    with _one_opencv_thread(), suppress(EOFError):  # the end of the pipe is the end of the work
+    # The end of the pipe is the end of the work; if the other side is killed, at any moment.
+    with _one_opencv_thread(), suppress(EOFError, ConnectionError):
         while True:
             i = connection.recv()
             try:

@@ -112,7 +112,7 @@ def test_a_shadow_moves_as_much_as_in_an_experiment(record: CalibrationRecord) -
     lamp = record.results.lamp
     covariance = LAMP_SIGMA_M**2 * np.array([[4.0, 3.0, 3.5], [3.0, 3.0, 2.5], [3.5, 2.5, 4.0]])
     slanted = replace(lamp, covariance_m2=covariance)
-    slanted = record.with_results(replace(record.results, lamp=slanted))
+    slanted = replace(record, results=replace(record.results, lamp=slanted))
     budget = error_budget(slanted, [OBLIQUE])
     lamps = np.random.default_rng(0).multivariate_normal(lamp.p_trs_m, covariance, 20000)
     top = np.array([1.08, 2.08, RELIEF_M])
@@ -140,14 +140,14 @@ def test_the_table_says_what_dominates_and_what_to_do(swept: Budget) -> None:
 
 
 def test_one_pose_is_enough_and_a_lamp_is_not_needed(record: CalibrationRecord) -> None:
-    without = record.with_results(replace(record.results, lamp=None))
+    without = replace(record, results=replace(record.results, lamp=None))
     budget = error_budget(without, [OBLIQUE])
     assert np.isnan(budget.shadow_px).all()
     assert "shadows" not in budget_table(budget)
 
 
 def test_missing_parts_are_named(record: CalibrationRecord) -> None:
-    without = record.with_results(replace(record.results, hand_eye=None, camera=None))
+    without = replace(record, results=replace(record.results, hand_eye=None, camera=None))
     with pytest.raises(CalibrationError, match="needs intrinsics, hand-eye, which it lacks"):
         error_budget(without, [OBLIQUE])
     unread = replace(record, inputs=record.inputs.with_parts(hand_eye=None))
@@ -173,6 +173,6 @@ def test_a_pose_that_looks_past_the_model_is_named(
 
 def test_a_lamp_behind_the_model_is_refused(record: CalibrationRecord) -> None:
     behind = replace(record.results.lamp, p_trs_m=np.array([0.0, 0.0, -1.0]))
-    wrong = record.with_results(replace(record.results, lamp=behind))
+    wrong = replace(record, results=replace(record.results, lamp=behind))
     with pytest.raises(CalibrationError, match="must be in front of the model"):
         error_budget(wrong, [OBLIQUE])

@@ -11,7 +11,7 @@ from tronlab.calib.camera.board import BoardView
 from tronlab.calib.camera.bow import N_BOW, bowed
 from tronlab.calib.camera.projection import N_INTRINSICS, free_intrinsics, intrinsics_of
 from tronlab.calib.camera.state import CameraKind
-from tronlab.calib.elimination import eliminate, minimise
+from tronlab.calib.elimination import N_OWN, Rows, eliminate, minimise
 from tronlab.calib.hand_eye.bundle import (
     BundleProblem,
     BundleSolution,
@@ -261,6 +261,38 @@ def test_a_reading_without_covariance_is_refused(scene: Callable, lay_out: Calla
     )
     with pytest.raises(CalibrationError, match="station 2 is not positive definite"):
         lay_out(replace(truth, stations=tuple(stations)))
+
+
+class Valley:
+    """Determined well across a bent valley, weakly along it: full steps leave it."""
+
+    def __init__(self, *, along: float) -> None:
+        self.along, self.n_evaluations = along, 0
+
+    def rows(self, state: FloatArray) -> Rows:
+        self.n_evaluations += 1
+        x, y = state
+        blocks = np.zeros((1, N_OWN, N_OWN + 3))
+        blocks[0, :, :N_OWN] = np.eye(N_OWN)
+        across = 10.0 * np.array([-6.0 * x, 1.0, y - 3.0 * x**2])
+        return Rows(blocks, np.stack([across, self.along * np.array([1.0, 0.0, x - 1.0])]))
+
+    def moved(self, state: FloatArray, own: FloatArray, common: FloatArray) -> FloatArray:
+        return state + common
+
+
+def test_the_way_along_a_bent_valley_is_found() -> None:
+    found = minimise(Valley(along=1.0), np.array([-1.2, 1.0]))
+    np.testing.assert_allclose(found, [1.0, 3.0], atol=1e-9)
+
+
+def test_a_bend_that_says_nothing_does_not_hold_up_the_solution() -> None:
+    """Full steps along the valley raise the sum of squares, but promise to lower it by nothing."""
+    valley = Valley(along=0.01)
+    found = minimise(valley, np.array([-1.2, 1.0]))
+    assert valley.n_evaluations < 20
+    assert abs(found[0] - 1.0) < 0.04 / valley.along
+    assert valley.rows(found).cost < 1e-3
 
 
 def test_undetermined_unknowns_are_refused(scene: Callable, lay_out: Callable) -> None:

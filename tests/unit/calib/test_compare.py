@@ -10,6 +10,7 @@ from scipy.stats import chi2
 
 from tronlab.calib.compare import Comparison, PartComparison, compare_records
 from tronlab.calib.record import CalibrationRecord
+from tronlab.calib.results import LampResult
 from tronlab.devices.readings import DeviceIdentity
 from tronlab.geometry.uncertainty import perturb
 
@@ -20,7 +21,7 @@ def part(comparison: Comparison, name: str) -> PartComparison:
 
 
 def with_parts(record: CalibrationRecord, **parts: object) -> CalibrationRecord:
-    return record.with_results(replace(record.results, **parts))
+    return replace(record, results=replace(record.results, **parts))
 
 
 def moved_frame(record: CalibrationRecord, difference: np.ndarray) -> CalibrationRecord:
@@ -57,6 +58,25 @@ def test_a_tracker_that_moved_changes_the_frame_and_nothing_else() -> None:
         "frame changed: the tracker stands elsewhere, or the model: 1.300 m and 19.999 deg",
         "nothing else moved: camera, hand-eye, lamp and robot agree within the uncertainty",
     ]
+
+
+def test_a_lamp_that_moved_less_than_its_light_is_known_is_found_out() -> None:
+    """The light keeps its place in the housing; only how the reflector was measured counts."""
+
+    def lamp_at(x_m: float) -> CalibrationRecord:
+        reflector, light_sigma_m = np.array([x_m, -2.0, 3.0]), 0.006
+        covariance = (5e-5**2 + light_sigma_m**2) * np.eye(3)
+        statistics = {"p_reflector_trs_m": reflector.tolist(), "light_sigma_m": light_sigma_m}
+        lamp = LampResult(reflector + 0.05, covariance, statistics)
+        return with_parts(measured_record(seed=1, n_stations=1), lamp=lamp)
+
+    lamp = part(compare_records(lamp_at(-3.0), lamp_at(-2.999)), "lamp")
+    assert lamp.quantities[0].n_sigmas == pytest.approx(1e-3 / (5e-5 * np.sqrt(2)), rel=1e-3)
+    surveyed = lamp_at(-3.0)
+    assert surveyed.results.lamp is not None
+    moved = replace(surveyed.results.lamp, p_trs_m=surveyed.results.lamp.p_trs_m + 1e-3)
+    lamp = part(compare_records(surveyed, with_parts(surveyed, lamp=moved)), "lamp")
+    assert lamp.quantities[0].sigma == pytest.approx(8.5, abs=0.1)  # mm
 
 
 def test_a_small_move_is_found_in_units_and_in_sigmas() -> None:

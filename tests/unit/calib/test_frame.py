@@ -341,3 +341,39 @@ def test_numbers_that_are_none_are_refused() -> None:
     for covariance, message in ((-np.eye(3), "is no covariance"), (0 * np.eye(3), "is singular")):
         with pytest.raises(CalibrationError, match=f"reflector far.*{message}"):
             solve_frame({**readings, "far": PointReading("far", p, covariance, 0.0)}, spec)
+
+
+@pytest.mark.parametrize(
+    ("marks", "message"),
+    [
+        (
+            {"bottom_left_m": (0.0, 4.1, 0.0), "top_right_m": (2.1, 0.1, 0.0)},
+            r"bottom_left_m \[0.0, 4.1, 0.0\] must lie on the X-axis.*\n.*swapped",
+        ),
+        (
+            {"top_right_m": (0.1, -4.1, 0.0)},
+            r"top_right_m \[0.1, -4.1, 0.0\] in the X-Y plane at y",
+        ),
+        (
+            {"bottom_left_m": (2100.0, 0.0, 0.0), "top_right_m": (100.0, 4100.0, 0.0)},
+            "rig file: bottom_left is at .* millimetres",
+        ),
+    ],
+)
+def test_marks_that_do_not_define_the_frame_are_refused(
+    marks: dict[str, tuple[float, float, float]], message: str
+) -> None:
+    """Measured where the rig file has them: no length is wrong."""
+    spec = design(**marks)
+    trs_from_trk = place_tracker(np.random.default_rng(5))
+    readings = measure(trs_from_trk, nominal_centres(spec), np.random.default_rng(6))
+    with pytest.raises(CalibrationError, match=message):
+        solve_frame(readings, spec)
+
+
+def test_marks_on_one_line_are_called_collinear() -> None:
+    spec = design(top_right_m=(1.0, 0.0, 0.0))
+    rng = np.random.default_rng(7)
+    readings = measure(place_tracker(rng), nominal_centres(spec), rng, SIGMA_M)
+    with pytest.raises(DegenerateGeometryError, match="line"):
+        solve_frame(readings, spec)

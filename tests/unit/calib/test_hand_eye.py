@@ -240,7 +240,7 @@ def test_millimetres_are_named(scene: Callable, solve: Callable) -> None:
     in_mm = with_readings(
         stations, lambda pose: RigidTransform.from_components(1e3 * pose.translation, pose.rotation)
     )
-    with pytest.raises(CalibrationError, match="readings look like millimetres"):
+    with pytest.raises(CalibrationError, match="of the T-MAC seem to be in millimetres"):
         solve(in_mm)
 
 
@@ -267,8 +267,8 @@ def longer(pose: RigidTransform) -> RigidTransform:
 @pytest.mark.parametrize(
     ("change", "hint"),
     [
-        (RigidTransform.inv, "tmac_from_trk"),
-        (shifted_quaternion, "scalar in another place"),
+        (RigidTransform.inv, "only if one of the two is inverted"),
+        (shifted_quaternion, "quaternion's scalar last"),
         (longer, r"moved 1\.05\d\d times as far as the camera saw: is the board's square_m right"),
     ],
     ids=["inverted", "quaternion", "square"],

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from tronlab.calib.wizard import next_station
 from tronlab.calib.camera.board import BoardView, corner_points
 from tronlab.calib.camera.bow import bowed
 from tronlab.calib.camera.projection import free_intrinsics, intrinsics_of, with_intrinsics
+from tronlab.calib.wizard import next_station
 from tronlab.calib.wizard.next_station import (
     N_UNKNOWNS,
     Outlook,

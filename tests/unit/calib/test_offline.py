@@ -161,3 +161,12 @@ def test_a_camera_file_of_another_kind_is_refused(tmp_path: Path) -> None:
     path.write_text("%YAML:1.0\n---\ncamera_matrix: 3\n")
     with pytest.raises(CalibrationError, match=r"camera\.yml: "):
         read_camera(path)
+    path.write_text("<camera_matrix>")
+    with pytest.raises(CalibrationError, match=r"camera\.yml: OpenCV cannot read a camera"):
+        read_camera(path)
+    path.write_text(
+        "%YAML:1.0\n---\nimage_width: 4\nimage_height: 3\ncamera_matrix: !!opencv-matrix\n"
+        "   rows: 3\n   cols: 3\n   dt: d\n   data: [-7., 0., 2., 0., 7., 1., 0., 0., 1.]\n"
+    )
+    with pytest.raises(CalibrationError, match=r"focal lengths -7 and 7 px, both must be above 0"):
+        read_camera(path)

@@ -132,6 +132,7 @@ def mirrored(poses: Poses) -> Poses:
         (lambda a: scaled(a, 1e3), lambda c: c, r"T-MAC seem to be in millimetres, those of the"),
         (lambda a: a, lambda c: scaled(c, 1e3), r"board seem to be in millimetres, those of the"),
         (lambda a: scaled(a, 1e3), lambda c: scaled(c, 1e3), r"the board is \d{3} m from"),
+        (lambda a: a, lambda c: scaled(c, 0.0), r"the board is 0 m from"),
         (mirrored, lambda c: c, "mirrored only"),
         (lambda a: a, mirrored, "mirrored only"),
         (lambda a: a, lambda c: [p.inv() for p in c], "one of the two is inverted"),
@@ -147,6 +148,15 @@ def test_pairs_that_contradict_each_other_are_refused() -> None:
     _, tmac, cam = draw(7)
     with pytest.raises(CalibrationError, match=r"differ by \d+%.* same order"):
         solve_pose_pairs(measured(tmac, cam[5:] + cam[:5]))
+
+
+@pytest.mark.parametrize("n", [5, 14])
+def test_pairs_of_mixed_units_are_refused(n: int) -> None:
+    """No one factor mends them, and their turns fit."""
+    _, tmac, cam = draw(10, n=n)
+    tmac[::2] = scaled(tmac[::2], 1e3)
+    with pytest.raises(CalibrationError, match=r"scatters by .* are all of them in metres"):
+        solve_pose_pairs(measured(tmac, cam))
 
 
 def test_no_pairs_and_two_pairs_are_refused() -> None:

@@ -363,7 +363,7 @@ def test_a_value_json_does_not_have_is_not_written(
     record: CalibrationRecord, tmp_path: Path
 ) -> None:
     frame = replace(record.results.frame, statistics={"rms_m": float("nan")})
-    bad = record.with_results(replace(record.results, frame=frame))
+    bad = replace(record, results=replace(record.results, frame=frame))
     with pytest.raises(CalibrationError, match="cannot be written"):
         bad.save(tmp_path / "r.json")
     assert not list(tmp_path.iterdir())

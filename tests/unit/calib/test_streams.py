@@ -1,5 +1,7 @@
 """Streams with their own clocks: the offset against its sigma, bad stamps, no common motion."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
@@ -86,3 +88,18 @@ def test_a_stream_too_short_is_refused() -> None:
     tmac, cam = streams(0)
     with pytest.raises(CalibrationError, match=r"cam.csv: 5 poses in order of time"):
         pair_streams(tmac, cam[np.arange(len(cam)) < 5])
+
+
+def test_time_stamps_in_nanoseconds_are_refused() -> None:
+    tmac, cam = streams(3)
+    with pytest.raises(CalibrationError, match=r"tmac\.csv: lasts 8.99e\+09 s.* in seconds"):
+        pair_streams(replace(tmac, time_s=1e9 * tmac.time_s), cam)
+
+
+def test_a_quaternion_in_another_order_is_refused() -> None:
+    """Between two turns a cyclic shift is an inversion, as of a camera in the board."""
+    tmac, cam = streams(3)
+    shifted = Rotation.from_quat(np.roll(tmac.poses.rotation.as_quat(), 1, axis=1))
+    poses = RigidTransform.from_components(tmac.poses.translation, shifted)
+    with pytest.raises(CalibrationError, match=r"the translations do not; .* scalar last"):
+        pair_streams(replace(tmac, poses=poses), cam)

@@ -27,7 +27,7 @@ def true_record(tracker_noise: float = 1.0) -> CalibrationRecord:
     drawn = measured_record(seed=3, n_stations=16, tracker_noise=tracker_noise)
     camera = replace(drawn.results.camera, camera=CAMERA, bow_m=BOW_M)
     hand_eye = replace(drawn.results.hand_eye, tmac_from_cam=TMAC_FROM_CAM)
-    return drawn.with_results(replace(drawn.results, camera=camera, hand_eye=hand_eye))
+    return replace(drawn, results=replace(drawn.results, camera=camera, hand_eye=hand_eye))
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def record() -> CalibrationRecord:
 
 def with_camera_statistics(record: CalibrationRecord, **statistics: object) -> CalibrationRecord:
     camera = replace(record.results.camera, statistics=statistics)
-    return record.with_results(replace(record.results, camera=camera))
+    return replace(record, results=replace(record.results, camera=camera))
 
 
 def test_what_is_left_of_a_view_is_the_noise_of_its_corners(record: CalibrationRecord) -> None:

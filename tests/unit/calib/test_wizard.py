@@ -127,6 +127,18 @@ def test_everything_was_kept_along_the_way(done: Done) -> None:
     assert sorted(set(counts)) == list(range(1, 13))
 
 
+def test_a_session_interrupted_early_is_solved_as_far_as_it_goes(done: Done) -> None:
+    drafts = done.journal.drafts
+    (kept, *_) = [d for d in drafts if d.inputs.hand_eye and len(stations_of(d).stations) == 2]
+    again = rerun(kept, {})
+    assert set(again.new_parts) == {"frame", "lamp", "robot"}
+    assert again.record.inputs.hand_eye is None
+    assert "2 " in again.unsolved["hand_eye"]
+    only = replace(kept, inputs=Inputs(hand_eye=kept.inputs.hand_eye))
+    with pytest.raises(CalibrationError, match=re.escape(again.unsolved["hand_eye"])):
+        rerun(only, {})
+
+
 def test_what_was_kept_can_be_solved_later(done: Done) -> None:
     kept = CalibrationRecord.from_json(done.journal.drafts[-1].to_json())
     again = rerun(kept, {})
@@ -224,10 +236,29 @@ def test_a_beam_lost_once_costs_nothing_and_for_long_one_station() -> None:
     assert [line.split(":")[0] for line in measured.skipped] == ["pose 2"]
 
 
+def test_a_robot_stopped_too_early_is_refused_before_the_board_is_placed() -> None:
+    twin, journal = make_small_twin(FEW, answers=["go"] * 2 + ["stop"]), Journal()
+    with pytest.raises(CalibrationError, match="robot: 2 stations, at least 6 needed"):
+        calibrate(ALL_PARTS, twin.bench, DRAFT, keep=journal)
+    kept = journal.drafts[-1].inputs
+    assert kept.robot is not None
+    assert len(kept.robot.stations) == 2
+    assert kept.hand_eye is None
+
+
+def test_the_person_is_told_what_robot_places_are_worth() -> None:
+    twin = make_small_twin(FEW, answers=["go"] * 9 + ["stop"])
+    assert len(measure_robot(twin.bench).stations) == 9
+    assert "  5 measured, solved from 6 on" in twin.dialogue.lines
+    assert re.match(r"  9 measured; places held out are met to 0\.\d+ mm", twin.dialogue.lines[-1])
+    assert ("robot station", 20, 20) not in twin.dialogue.steps
+
+
 def test_a_robot_place_out_of_view_is_left_out() -> None:
-    measured = measure_robot(make_small_twin(FEW, faults=[lost_at(4, times=3)]).bench)
+    answers, faults = ["go"] * 8 + ["stop"], [lost_at(4, times=3)]
+    measured = measure_robot(make_small_twin(FEW, answers=answers, faults=faults).bench)
     assert [line.split(":")[0] for line in measured.skipped] == ["place 1"]
-    assert len(measured.stations) >= 10
+    assert len(measured.stations) == 7
 
 
 def test_the_board_is_taken_away_when_a_device_fails() -> None:

@@ -92,7 +92,7 @@ def test_all_parts_unattended(calibrated: Calibrated) -> None:
     assert set(record.inputs.measured_utc) == {"frame", "hand_eye", "lamp", "robot"}
     assert calibrated.result.stdout.rstrip().endswith(str(calibrated.record))
     folder = calibrated.record.parent
-    assert f"1 pictures in {folder / 'twin_pictures'}" in calibrated.result.stdout
+    assert f"pictures: 1 in {folder / 'twin_pictures'}" in calibrated.result.stdout
     assert not list(folder.glob("*.part*"))
 
 
@@ -171,6 +171,14 @@ def test_forced_or_not_nothing_is_lost(copied: Calibrated, monkeypatch: pytest.M
     assert texts == ["precious"]
 
 
+def test_a_folder_that_cannot_be_written_shows_before_anything_is_measured(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    result = run("frame", "--rig", TWIN_YAML, "--record", tmp_path / "file/r.json", "--yes")
+    assert isinstance(result.exception, CalibrationError)
+    assert "name another file: --record" in str(result.exception)
+    assert not result.stderr
+
+
 def test_another_rigs_record_is_refused(copied: Calibrated, tmp_path: Path) -> None:
     rig = write_rig(tmp_path, name="other")
     result = run("frame", "--rig", rig, "--record", copied.record, "--yes")
@@ -221,6 +229,13 @@ def test_the_robot_does_not_move_before_a_yes(copied: Calibrated) -> None:
     assert "The robot will move" in result.stderr
 
 
+def test_a_person_is_told_what_to_prepare(copied: Calibrated) -> None:
+    result = run("lamp", "--rig", copied.rig, "--record", copied.record, answers="n\n")
+    assert result.exit_code == 1
+    assert "Seat the reflectors: top_left, bottom_left, top_right, lamp;" in result.stderr
+    assert "robot" not in result.stderr
+
+
 @pytest.mark.usefixtures("quick")
 def test_a_person_is_asked_before_each_place(copied: Calibrated) -> None:
     result = run(
@@ -228,6 +243,8 @@ def test_a_person_is_asked_before_each_place(copied: Calibrated) -> None:
     )
     assert isinstance(result.exception, CalibrationError)  # from one place nothing follows
     assert "robot station 3 of" in result.stderr
+    assert "robot stations: " not in result.stderr
+    assert "reflectors: 3 of 3" in result.stderr
     assert "'what': type one of go, skip, stop" in result.stderr
 
 

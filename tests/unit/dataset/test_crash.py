@@ -16,7 +16,7 @@ import pytest
 
 from tronlab.dataset import reader, schema, writer
 from tronlab.dataset.reader import Dataset
-from tronlab.dataset.records import Provenance, ReferenceView, ShotRecord
+from tronlab.dataset.records import DriftRecord, Provenance, ReferenceView, ShotRecord
 from tronlab.dataset.validate import validate
 
 TESTS = Path(__file__).parents[2]
@@ -175,41 +175,60 @@ def record_writes(
     provenance: Provenance,
     shots: list[ShotRecord],
     views: list[ReferenceView],
-) -> tuple[list[tuple[int, bytes | None]], list[int]]:
-    """Write a dataset; give every change of the file, and how many there were at each commit."""
+    checks: list[DriftRecord],
+) -> tuple[list[tuple[int, bytes | None]], list[int], list[int]]:
+    """Write a dataset: a drift check, then a shot and a check in turns.
+
+    Returns:
+        Every change of the file, and how many there were at each commit of a shot, of a check.
+    """
     recorded = RecordedFile()
     with monkeypatch.context() as patch:
         patch.setattr(writer, "_create", lambda _: h5py.File(recorded, "w"))
         patch.setattr(writer.DatasetWriter, "_sync", lambda self: self._file.flush())
         patch.setattr(writer.DatasetWriter, "_probe_room", lambda *_: None)
-        n_changes: list[int] = []
+        at_shots: list[int] = []
+        at_checks: list[int] = []
         with writer.DatasetWriter(Path("recorded.h5"), provenance) as recording:
             recording.add_references(views)
-            for shot in shots:
+            recording.plan_drift_checks(tuple(checks[0].readings), len(checks) + 1)
+            recording.commit_drift(checks[0])
+            at_checks.append(len(recorded.changes))
+            for shot, check in zip(shots, checks[1:], strict=True):
                 recording.commit(shot)
-                n_changes.append(len(recorded.changes))
+                at_shots.append(len(recorded.changes))
+                recording.commit_drift(check)
+                at_checks.append(len(recorded.changes))
             recording.finish("aborted", "operator")
-    return recorded.changes, n_changes
+    return recorded.changes, at_shots, at_checks
 
 
-def test_wherever_the_writing_stops_every_committed_shot_is_there(
+def test_wherever_the_writing_stops_every_committed_shot_and_check_is_there(
     monkeypatch: pytest.MonkeyPatch,
     make_shot: Callable[..., ShotRecord],
     make_provenance: Callable[..., Provenance],
     make_view: Callable[[int], ReferenceView],
+    make_drift: Callable[..., DriftRecord],
 ) -> None:
-    shots = [make_shot(i) for i in range(3)]
-    changes, n_changes = record_writes(monkeypatch, make_provenance(6), shots, [make_view(0)])
-    assert len(changes) > 3 * 20
+    shots = [make_shot(i) for i in range(2)]
+    checks = [make_drift(n) for n in range(3)]
+    changes, at_shots, at_checks = record_writes(
+        monkeypatch, make_provenance(4), shots, [make_view(0)], checks
+    )
+    assert len(changes) > 2 * 40
     content = bytearray()
     for k, (place, data) in enumerate(changes, start=1):
         apply_change(content, place, data)
-        n_committed = bisect_right(n_changes, k)
-        if n_committed:
+        n_shots, n_checks = bisect_right(at_shots, k), bisect_right(at_checks, k)
+        if n_shots:  # the first one still changes the file's structure
             monkeypatch.setattr(
                 reader, "open_dataset", lambda _: h5py.File(io.BytesIO(bytes(content)), "r")
             )
             with Dataset(Path("recorded.h5")) as dataset:
-                assert dataset.n_shots >= n_committed, f"after change {k} of {len(changes)}"
-                dataset.shot(dataset.n_shots - 1)
+                assert dataset.n_shots >= n_shots, f"after change {k} of {len(changes)}"
                 assert dataset.rows(schema.SHOT_ID).tolist() == list(range(dataset.n_shots))
+                dataset.shot(dataset.n_shots - 1)
+                done = [check.n_shots_before for check in dataset.drift_checks]
+                assert done == list(range(len(done))), f"after change {k} of {len(changes)}"
+                assert len(done) >= n_checks
+                assert dataset.truth_states[: len(done) - 1] == ("good",) * (len(done) - 1)

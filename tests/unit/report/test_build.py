@@ -110,6 +110,7 @@ def test_page_says_whether_truth_can_be_trusted(score_by_hand, small_dataset):
     assert "<dt>accepted</dt><dd>it had expired</dd>" in words
 
 
+@blank_figures
 def test_page_says_what_was_measured_and_how(score_by_hand):
     words = Parsed(build_report(score_by_hand(CORES))).words
     for text in ("straight line", "5 of 5 planned", "Leica T-MAC 1 2", "too few <matches>", "42"):

@@ -36,8 +36,8 @@ ALL = ["residuals", "coverage", "projection", "models", "bow", "stations", "fram
 def record() -> CalibrationRecord:
     measured = measured_record(seed=2, n_stations=12)
     solved = solve(measured.inputs)
-    return measured.with_results(
-        replace(solved, lamp=measured.results.lamp, robot=measured.results.robot)
+    return replace(
+        measured, results=replace(solved, lamp=measured.results.lamp, robot=measured.results.robot)
     )
 
 

@@ -25,6 +25,7 @@ from tronlab.dataset.writer import DatasetWriter
 from tronlab.errors import DatasetError, IntegrityError, ScoreError
 from tronlab.nav import cores as nav_cores
 from tronlab.nav.core import NavigationResult
+from tronlab.score import workers as workers_module
 from tronlab.score.rescore import campaign_cores, score_dataset
 from tronlab.score.results import load_results
 from tronlab.score.statistics import statistics
@@ -417,6 +418,17 @@ def test_a_worker_that_dies_costs_only_what_is_not_done(
     assert not (tmp_path / "scores.csv").exists()
     with pytest.raises(ScoreError, match=r"no scores\.csv there, only scores\.partial\.csv of a"):
         load_results(tmp_path)
+
+
+def test_a_worker_ends_without_a_traceback_when_nobody_takes_its_answer(
+    small_dataset: Path, plug_ins: None
+) -> None:
+    ours, theirs = multiprocessing.Pipe()
+    ours.send(0)
+    ours.close()
+    workers_module._work(theirs, small_dataset, ("shift",))
+    with pytest.raises(ConnectionError):
+        theirs.send("the other end is closed")
 
 
 def is_gone(group: int, *, within_s: float) -> bool:

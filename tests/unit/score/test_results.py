@@ -1,9 +1,11 @@
 """The files of a scoring: exact, whole or as they were."""
 
+import json
 import os
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from tronlab.errors import ScoreError
@@ -50,6 +52,25 @@ def test_inliers_of_a_core_that_stays_are_copied(tmp_path: Path) -> None:
     assert results.cores == ("a", "b")
     np.testing.assert_array_equal(results.uv_inliers("a", 1), np.full((2, 2), 3.5))
     assert results.reasons["a", 1] == "dim"
+
+
+def drop_column(folder: Path, name: str) -> None:
+    """Leave a table as another version would have written it."""
+    table, info_path = folder / "scores.csv", folder / "score.json"
+    pd.read_csv(table).drop(columns=name).to_csv(table, index=False)
+    info = json.loads(info_path.read_text())
+    info_path.write_text(json.dumps({**info, "sha256": {}}))
+
+
+def test_scores_from_before_there_were_drift_checks_have_an_unchecked_truth(tmp_path: Path) -> None:
+    save_results(tmp_path, [score_of("a", 0)], info_of("a"))
+    drop_column(tmp_path, "truth_state")
+    earlier = load_results(tmp_path)
+    save_results(tmp_path, [score_of("b", 0)], info_of("b"), earlier=earlier)
+    assert load_results(tmp_path).scores["truth_state"].tolist() == ["unchecked", "good"]
+    drop_column(tmp_path, "status")
+    with pytest.raises(ScoreError, match="columns are missing: status"):
+        load_results(tmp_path)
 
 
 @pytest.mark.parametrize("step", ["_copy_matches", "_sha256"])

@@ -56,7 +56,7 @@ def _derivatives(
     """Give d(uv) by the intrinsics, (n, 2, 12), and by turn and movement, (n, 2, 3 or 6)."""
     p_cam = np.column_stack([camera.rays(uv), np.ones(len(uv))]) * (distance_m or 1.0)
     _, by_point, by_intrinsics = project_with_jacobian(camera, p_cam)
-    by_turn = by_point @ np.stack([skew(p) for p in p_cam])
+    by_turn = by_point @ skew(p_cam)
     if distance_m is None:
         return by_intrinsics, by_turn
     return by_intrinsics, np.concatenate([by_turn, by_point], axis=2)

@@ -28,7 +28,7 @@ from tronlab.devices.laboratory import PatternSpec
 from tronlab.devices.readings import PoseReading
 from tronlab.errors import CalibrationError
 from tronlab.geometry.camera import CameraModel
-from tronlab.geometry.poses import FloatArray
+from tronlab.geometry.poses import FloatArray, skew
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,9 +144,9 @@ class BundleProblem:
         cam_from_board = state.cam_from_board[: self.n_stations]
         tmac_in_cam = state.tmac_from_cam.inv().translation
         turn, turn_of_cam = estimates[:, :3, :3], trk_from_cam[:, :3, :3]
-        lever_cam = _cross(tmac_in_cam - cam_from_board.translation)
-        lever_tmac = _cross(state.tmac_from_cam.translation[None])
-        lever_trk = _cross(estimates[:, :3, 3] - state.trk_from_board.translation)
+        lever_cam = skew(tmac_in_cam - cam_from_board.translation)
+        lever_tmac = skew(state.tmac_from_cam.translation[None])
+        lever_trk = skew(estimates[:, :3, 3] - state.trk_from_board.translation)
         rows = np.zeros((self.n_stations, 6, N_OWN + self.n_common + 1))
         own = slice(0, N_OWN)
         hand_eye = slice(N_OWN + self.hand_eye.start, N_OWN + self.hand_eye.stop)
@@ -177,7 +177,7 @@ class BundleProblem:
         p_cam = from_board + state.cam_from_board.translation[:, None]
         uv, by_point, by_intrinsics = project_with_jacobian(state.camera, p_cam.reshape(-1, 3))
         rows = np.zeros((n_views * n_most, 2, N_OWN + self.n_common + 1))
-        rows[:, :, :3] = -by_point @ _cross(from_board.reshape(-1, 3))
+        rows[:, :, :3] = -by_point @ skew(from_board.reshape(-1, 3))
         rows[:, :, 3:6] = by_point
         normals = state.cam_from_board.rotation.as_matrix()[:, :, 2]
         by_height = by_point @ np.repeat(normals, n_most, axis=0)[:, :, None]
@@ -279,12 +279,5 @@ def _by_turn(rotvecs: FloatArray) -> FloatArray:
     The inverse left Jacobian of SO(3) to second order (Chirikjian, Stochastic Models, Information
     Theory, and Lie Groups, vol. 2, 2012).
     """
-    crosses = _cross(rotvecs)
+    crosses = skew(rotvecs)
     return np.eye(3) - crosses / 2 + crosses @ crosses / 12
-
-
-def _cross(v: FloatArray) -> FloatArray:
-    """Give the matrices [v]x, shape (n, 3, 3)."""
-    matrices = np.zeros((len(v), 3, 3))
-    matrices[:, [2, 0, 1], [1, 2, 0]] = v
-    return matrices - np.swapaxes(matrices, 1, 2)

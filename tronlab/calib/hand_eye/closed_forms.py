@@ -22,7 +22,7 @@ from tronlab.calib.hand_eye.motions import (
     stack_poses,
 )
 from tronlab.errors import CalibrationError, DegenerateGeometryError
-from tronlab.geometry.poses import FloatArray
+from tronlab.geometry.poses import FloatArray, skew
 
 __all__ = [
     "CLOSED_FORMS",
@@ -145,7 +145,7 @@ def _tsai(motions: Motions) -> RigidTransform:
     """
     a = 2 * motions.tmac.rotation.as_quat(canonical=True)[:, :3]
     b = 2 * motions.cam.rotation.as_quat(canonical=True)[:, :3]
-    half_tangent = _solve(_skews(a + b).reshape(-1, 3), (b - a).ravel())
+    half_tangent = _solve(skew(a + b).reshape(-1, 3), (b - a).ravel())
     return _with_translation(motions, Rotation.from_mrp(_mrp_of_half_tangent(half_tangent)))
 
 
@@ -215,21 +215,14 @@ def _mrp_of_half_tangent(v: FloatArray) -> FloatArray:
     return v / (1.0 + np.sqrt(1.0 + v @ v))
 
 
-def _skews(v: FloatArray) -> FloatArray:
-    """Give the matrices [v]x, shape (n, 3, 3)."""
-    matrices = np.zeros((len(v), 3, 3))
-    matrices[:, [2, 0, 1], [1, 2, 0]] = v
-    return matrices - np.swapaxes(matrices, 1, 2)
-
-
 def _left_products(q: FloatArray) -> FloatArray:
     """Give the matrices of x -> q x for quaternions xyzw, shape (n, 4, 4)."""
-    return _products(q, _skews(q[:, :3]))
+    return _products(q, skew(q[:, :3]))
 
 
 def _right_products(q: FloatArray) -> FloatArray:
     """Give the matrices of x -> x q for quaternions xyzw, shape (n, 4, 4)."""
-    return _products(q, -_skews(q[:, :3]))
+    return _products(q, -skew(q[:, :3]))
 
 
 def _products(q: FloatArray, crosses: FloatArray) -> FloatArray:
@@ -250,7 +243,7 @@ def _dual_quaternions(poses: RigidTransform) -> tuple[FloatArray, FloatArray]:
 def _screw_equations(a: FloatArray, b: FloatArray) -> FloatArray:
     """Give the vector part of a x - x b as matrices of x, xyzw, shape (n, 3, 4)."""
     difference, total = (a - b)[:, :3], (a + b)[:, :3]
-    return np.concatenate([_skews(total), difference[:, :, None]], axis=2)
+    return np.concatenate([skew(total), difference[:, :, None]], axis=2)
 
 
 def _unit_dual_quaternion(v: FloatArray, w: FloatArray) -> tuple[FloatArray, FloatArray]:

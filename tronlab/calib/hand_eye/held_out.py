@@ -100,7 +100,7 @@ class _Linear:
         """Take the rows apart."""
         arms = problem.trk_from_tmac.rotation.apply(state.tmac_from_cam.translation)
         levers = np.tile(np.eye(6), (len(arms), 1, 1))
-        levers[:, 3:, :3] = [-skew(arm) for arm in arms]
+        levers[:, 3:, :3] = -skew(arms)
         return cls(
             readings=problem.reading_rows(state),
             pixels=rows.blocks[: problem.n_stations, 6:] / problem.pixel_weights.max(),

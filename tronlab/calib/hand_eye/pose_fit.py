@@ -14,7 +14,7 @@ from scipy.stats import chi2
 
 from tronlab.calib.hand_eye.closed_forms import HandEyeStart
 from tronlab.errors import CalibrationError, DegenerateGeometryError
-from tronlab.geometry.poses import FloatArray
+from tronlab.geometry.poses import FloatArray, skew
 from tronlab.geometry.uncertainty import perturb
 
 NOISE = ("tmac_rotation_rad", "board_rotation_rad", "translation_m")
@@ -36,6 +36,8 @@ _CONVERGED_NOISE = 1e-3
 """Change of a variance, relative to that of all rotations or translations."""
 _SMALLEST_SIGMA = 1e-9
 """Radians or metres: below this, residuals are rounding."""
+_LARGEST_SCATTER = 0.1
+"""Of the board's place by the single pairs, relative to its distance: beyond any noise."""
 _SMALLEST_SHARE = 1e-6
 """Of a variance in the whole: keeps the weights finite where one vanishes."""
 
@@ -89,17 +91,26 @@ def fit_pose_pairs(
         variances: Where those of ``NOISE`` start, shape (3,); from the residuals if None.
 
     Raises:
-        CalibrationError: Fewer than half of the pairs agree.
+        CalibrationError: Fewer than half of the pairs agree, or what they agree on is no place.
         DegenerateGeometryError: The pairs do not determine the transforms.
 
     Source: variances by iterated almost unbiased estimation: Foerstner, Zeitschrift fuer
         Vermessungswesen 104 (1979) 446; weights: Lange, Little and Taylor, J. American Statistical
         Association 84 (1989) 881.
     """
+    if len(pairs) < MIN_PAIRS_FOR_OUTLIERS:
+        fit = _fit(pairs, start, np.ones(len(pairs), dtype=np.bool_), variances=variances)
+    else:
+        fit = _fit_without_outliers(pairs, start, variances)
+    _check_scatter(pairs, fit)
+    return fit
+
+
+def _fit_without_outliers(
+    pairs: PosePairs, start: HandEyeStart, variances: FloatArray | None
+) -> PoseFit:
     n = len(pairs)
     everything = np.ones(n, dtype=np.bool_)
-    if n < MIN_PAIRS_FOR_OUTLIERS:
-        return _fit(pairs, start, everything, variances=variances)
     limit = chi2.isf(_OUTLIER_PROBABILITY, 6)
     fit = _fit(pairs, start, everything, variances=variances, tail_weight=_TAIL_WEIGHT)
     for _ in range(_MAX_SELECTIONS):
@@ -114,6 +125,19 @@ def fit_pose_pairs(
             return selected
         fit = selected
     return fit
+
+
+def _check_scatter(pairs: PosePairs, fit: PoseFit) -> None:
+    """Refuse translations that have nothing to do with each other, though the turns fit."""
+    scatter_m = float(np.sqrt(fit.variances[2]))
+    distance_m = float(np.median(np.linalg.norm(pairs.cam_from_board.translation, axis=1)))
+    if scatter_m > _LARGEST_SCATTER * distance_m:
+        raise CalibrationError(
+            f"hand-eye: the place of the board scatters by {scatter_m:.3g} m from pair to pair,"
+            f" {distance_m:.3g} m from the camera: the turns of T-MAC and camera fit each other,"
+            " the translations do not; are all of them in metres, and the quaternion's scalar last"
+            " (qx qy qz qw)?"
+        )
 
 
 def refit(pairs: PosePairs, fit: PoseFit, is_used: NDArray[np.bool_]) -> HandEyeStart:
@@ -134,7 +158,7 @@ def jacobian(pairs: PosePairs, start: HandEyeStart) -> FloatArray:
     levers = start.tmac_from_cam.rotation.apply(pairs.cam_from_board.translation)
     derivatives = np.zeros((len(pairs), 6, 12))
     derivatives[:, :3, :3] = derivatives[:, 3:, 3:6] = tmac
-    derivatives[:, 3:, :3] = -tmac @ _crosses(levers)
+    derivatives[:, 3:, :3] = -tmac @ skew(levers)
     derivatives[:, :, 6:] = -np.eye(6)
     return derivatives
 
@@ -277,7 +301,7 @@ def _noise_shapes(pairs: PosePairs, start: HandEyeStart) -> FloatArray:
     boards = pairs.boards(start.tmac_from_cam)
     levers = boards.translation - pairs.trk_from_tmac.translation
     by_turn = np.concatenate(
-        [np.broadcast_to(np.eye(3), (len(pairs), 3, 3)), -_crosses(levers)], axis=1
+        [np.broadcast_to(np.eye(3), (len(pairs), 3, 3)), -skew(levers)], axis=1
     )
     shapes[0] = by_turn @ np.swapaxes(by_turn, 1, 2)
     shapes[1, :, :3, :3] = shapes[2, :, 3:, 3:] = np.eye(3)
@@ -332,10 +356,3 @@ def _invert(normal: FloatArray) -> FloatArray:
             "hand-eye: the pairs of poses do not determine the transform; add some with other turns"
         ) from None
     return (inverse + inverse.T) / 2
-
-
-def _crosses(v: FloatArray) -> FloatArray:
-    """Give the matrices [v]x, shape (n, 3, 3)."""
-    matrices = np.zeros((len(v), 3, 3))
-    matrices[:, [2, 0, 1], [1, 2, 0]] = v
-    return matrices - np.swapaxes(matrices, 1, 2)

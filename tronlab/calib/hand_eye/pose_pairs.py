@@ -8,14 +8,15 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from scipy.spatial.transform import RigidTransform
 
+from tronlab.calib.camera.view_checks import BOARD_DISTANCES_M
 from tronlab.calib.hand_eye.closed_forms import (
     HandEyeStart,
     check_motions,
     disagreements,
     solve_closed_forms,
 )
+from tronlab.calib.hand_eye.contradictions import check_agreement
 from tronlab.calib.hand_eye.least_determined import name_least_determined
-from tronlab.calib.hand_eye.motions import check_agreement
 from tronlab.calib.hand_eye.pose_fit import (
     NOISE,
     PoseFit,
@@ -42,8 +43,6 @@ _SCALE_SIGMAS = 3.0
 """Few, since a wrong scale raises the noise that is estimated, and sigma with it."""
 _SCALE_TOLERANCE = 0.005
 """A scale nearer to 1 is no reason to doubt the board."""
-_FARTHEST_BOARD_M = 100.0
-"""No board is seen from farther."""
 
 
 def solve_pose_pairs(measured: PosePairsInput) -> HandEyeResult:
@@ -109,10 +108,11 @@ def _median_misfit(pairs: PosePairs, start: HandEyeStart) -> float:
 
 def _check_distance(pairs: PosePairs) -> None:
     distance = float(np.median(np.linalg.norm(pairs.cam_from_board.translation, axis=1)))
-    if distance > _FARTHEST_BOARD_M:
+    low, high = BOARD_DISTANCES_M
+    if not low <= distance <= high:
         raise CalibrationError(
-            f"hand-eye: the board is {distance:.0f} m from the camera; the poses seem to be in"
-            " millimetres; give them in metres"
+            f"hand-eye: the board is {distance:.3g} m from the camera, {low} to {high:.0f} m are"
+            " possible; give all poses in metres, not millimetres"
         )
 
 

@@ -14,7 +14,7 @@ from scipy.signal import correlate
 from scipy.spatial.transform import RigidTransform, Rotation, Slerp
 
 from tronlab.calib.hand_eye.closed_forms import check_motions, solve_closed_forms
-from tronlab.calib.hand_eye.motions import check_agreement, is_one_inverted
+from tronlab.calib.hand_eye.contradictions import check_agreement, is_one_inverted
 from tronlab.calib.hand_eye.pose_fit import (
     PoseFit,
     PosePairs,
@@ -30,6 +30,8 @@ from tronlab.geometry.poses import FloatArray
 MIN_POSES = 20
 _GAP_INTERVALS = 5.0
 """A gap of more than so many usual intervals is not interpolated over."""
+_MOST_STEPS = 10_000_000
+"""Of a stream, in intervals of the faster one: a day at 100 Hz."""
 _LEAST_CORRELATION = 0.5
 """Of the rates of turn; less is not one motion."""
 _LEAST_OVERLAP = 0.3
@@ -130,6 +132,12 @@ def _in_order(stream: PoseStream, notes: list[str]) -> PoseStream:
 def _offset_by_rates(tmac: PoseStream, cam: PoseStream) -> float:
     """Find the offset at which the rates of turn correlate best, to one interval."""
     step_s = min(tmac.interval_s, cam.interval_s)
+    for stream in (tmac, cam):
+        if (lasts_s := float(np.ptp(stream.time_s))) > _MOST_STEPS * step_s:
+            raise CalibrationError(
+                f"{stream.name}: lasts {lasts_s:.3g} s, while the faster stream has a pose every"
+                f" {step_s:.3g} s; give all time stamps in seconds"
+            )
     span_s = _RATE_INTERVALS * max(tmac.interval_s, cam.interval_s)
     rate_tmac, rate_cam = (_rate_of_turn(stream, step_s, span_s) for stream in (tmac, cam))
     products = correlate(rate_tmac, rate_cam, method="fft")

@@ -25,10 +25,16 @@ def read_camera(path: Path) -> CameraModel:
     if path.suffix.lower() == ".json":
         return CalibrationRecord.load(path).camera
     if "<model>" in text and "<px>" in text:
-        return _read_visp(text, path)
-    if "camera_matrix" in text:
-        return _read_opencv(text, path)
-    raise CalibrationError(f"{path}: is no camera file; understood are {UNDERSTOOD}")
+        camera = _read_visp(text, path)
+    elif "camera_matrix" in text:
+        camera = _read_opencv(text, path)
+    else:
+        raise CalibrationError(f"{path}: is no camera file; understood are {UNDERSTOOD}")
+    if not (camera.fx_px > 0 and camera.fy_px > 0):  # also for NaN
+        raise CalibrationError(
+            f"{path}: focal lengths {camera.fx_px:g} and {camera.fy_px:g} px, both must be above 0"
+        )
+    return camera
 
 
 def _read_visp(text: str, path: Path) -> CameraModel:
@@ -62,10 +68,8 @@ def _read_opencv(text: str, path: Path) -> CameraModel:
         matrix = storage.getNode("camera_matrix").mat()
         coefficients = storage.getNode("distortion_coefficients").mat()
         size = [int(storage.getNode(name).real()) for name in ("image_width", "image_height")]
-    except cv2.error as error:
-        raise CalibrationError(
-            f"{path}: OpenCV cannot read a camera from it: {error.err}"
-        ) from error
+    except (cv2.error, SystemError) as error:  # the latter for XML that breaks off
+        raise CalibrationError(f"{path}: OpenCV cannot read a camera from it: {error}") from error
     # OpenCV's stubs do not say that a node that is missing gives None.
     if matrix is None or matrix.shape != (3, 3) or min(size) < 1:  # pyright: ignore[reportUnnecessaryComparison]
         raise CalibrationError(f"{path}: needs camera_matrix (3 x 3), image_width and image_height")

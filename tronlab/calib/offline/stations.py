@@ -9,7 +9,7 @@ from scipy.spatial.transform import RigidTransform
 from tronlab.calib.camera.intrinsics import solve_intrinsics
 from tronlab.calib.camera.known_camera import known_camera
 from tronlab.calib.hand_eye.closed_forms import check_motions, solve_closed_forms
-from tronlab.calib.hand_eye.motions import check_agreement
+from tronlab.calib.hand_eye.contradictions import check_agreement
 from tronlab.calib.hand_eye.pose_fit import PosePairs, fit_pose_pairs
 from tronlab.calib.hand_eye.pose_pairs import best_start
 from tronlab.calib.inputs import CameraValues, PoseInput, Setup, StationInput, StationsInput

@@ -39,10 +39,12 @@ def solve_frame(points: Mapping[str, PointReading], reflectors: ReflectorsSpec) 
 
     Raises:
         CalibrationError: A reflector is missing, unknown, mislabelled or out of place, the unit is
-            wrong, or the frame is left-handed; the message names it.
+            wrong, or the frame is left-handed; the message names it. Or the marks of the rig file
+            do not lie as the frame is defined.
         DegenerateGeometryError: The reflectors are collinear.
     """
     nominal = nominal_centres(reflectors)
+    _check_design(reflectors)
     check_points(points, tuple(nominal))
     measured = {name: points[name].p_trk_m for name in nominal}
     trk_from_trs = _by_definition(measured, reflectors)
@@ -161,6 +163,25 @@ def check_range(p_trk_m: FloatArray, what: str) -> None:
         raise CalibrationError(
             f"{what}: is {distance_m:.4g} m from the tracker, which sees {_RANGE_M:g} m at most:"
             " it is in millimetres"
+        )
+
+
+def _check_design(reflectors: ReflectorsSpec) -> None:
+    """Return if the marks of the rig file lie as the definition of the frame has them."""
+    for name, p_mark in reflectors.points_m.items():
+        if max(map(abs, p_mark)) > _RANGE_M:
+            raise CalibrationError(
+                f"F_TRS: 'reflectors' in the rig file: {name} is at {list(p_mark)} m, farther than"
+                f" a tracker sees ({_RANGE_M:g} m at most): it is in millimetres"
+            )
+    down, right = np.array(reflectors.bottom_left_m), np.array(reflectors.top_right_m)
+    off_m = max(*np.abs(down[1:]), abs(right[2]))
+    if off_m > reflectors.length_tolerance_m or down[0] < 0.0 or right[1] < 0.0:
+        raise CalibrationError(
+            f"F_TRS: 'reflectors' in the rig file: bottom_left_m {down.tolist()} must lie on the"
+            f" X-axis at x > 0, and top_right_m {right.tolist()} in the X-Y plane at y > 0 (allowed"
+            f" +-{reflectors.length_tolerance_m * 1e3:g} mm): these define the frame;"
+            "\nare the two swapped?"
         )
 
 

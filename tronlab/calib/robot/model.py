@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from tronlab.calib.inputs import RobotStationInput
-from tronlab.geometry.poses import FloatArray
+from tronlab.geometry.poses import FloatArray, skew
 from tronlab.geometry.uncertainty import perturb
 
 N_UNKNOWNS = 15
@@ -92,7 +92,7 @@ class RobotModel:
         tmacs = (trk_from_flange * self.flange_from_tmac).translation
         jacobian = np.zeros((n, 6, N_UNKNOWNS))
         jacobian[:, :3, :3] = jacobian[:, 3:, 3:6] = np.eye(3)
-        jacobian[:, 3:, :3] = -_skews(tmacs - self.trk_from_rail.translation)
+        jacobian[:, 3:, :3] = -skew(tmacs - self.trk_from_rail.translation)
         jacobian[:, 3:, 6:9] = stations.rail_m[:, None, None] * rail
         jacobian[:, :3, 9:12] = jacobian[:, 3:, 12:] = flanges
         return jacobian
@@ -105,7 +105,7 @@ class RobotModel:
         """
         levers = np.tile(np.eye(6), (len(stations.rail_m), 1, 1))
         arms = self.trk_from_flange(stations).rotation.apply(self.flange_from_tmac.translation)
-        levers[:, 3:, :3] = -_skews(arms)
+        levers[:, 3:, :3] = -skew(arms)
         return levers
 
 
@@ -147,11 +147,6 @@ def _nearest_rotation(matrix: FloatArray) -> FloatArray:
     """Give the rotation nearest to a matrix that is one but for noise and a factor of any sign."""
     u, _, vt = np.linalg.svd(np.sign(np.linalg.det(matrix)) * matrix)
     return u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-
-
-def _skews(vectors: FloatArray) -> FloatArray:
-    """Give the matrices [v]x of the cross products with vectors (n, 3), shape (n, 3, 3)."""
-    return np.cross(vectors[:, None, :], np.eye(3)[None]).transpose(0, 2, 1)
 
 
 def _stacked(poses: Sequence[RigidTransform]) -> RigidTransform:

@@ -32,9 +32,9 @@ def measure_reflectors(bench: Bench, names: Iterable[str]) -> Points:
     names = tuple(names)
     points: Points = {}
     for i, name in enumerate(names):
-        bench.dialogue.advance("reflectors", n_done=i, n_all=len(names))
+        bench.dialogue.advance("reflector", n_done=i, n_all=len(names))
         points[name] = _measure_reflector(bench, name)
-    bench.dialogue.advance("reflectors", n_done=len(names), n_all=len(names))
+    bench.dialogue.advance("reflector", n_done=len(names), n_all=len(names))
     return points
 
 

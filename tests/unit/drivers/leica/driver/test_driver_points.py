@@ -15,6 +15,7 @@ from tronlab.errors import (
 START = 49
 CHANGE_FACE = 53
 POINT_LASER = 58
+POINT_LASER_HVD = 59
 FIND = 63
 SET_MODE = 24
 SET_STATIONARY = 28
@@ -103,15 +104,17 @@ def test_second_measurement_points_where_the_first_one_was(peer, seeing_reflecto
     assert peer.last(POINT_LASER) == struct.pack("<3d", *measured)
 
 
-def test_beam_goes_back_to_the_tmac(peer, tracker: LeicaTracker):
+def test_beam_goes_back_to_a_tmac_it_was_on_before_anyone_measured_it(peer, tracker: LeicaTracker):
+    """An earlier session left it there, and the robot need not be at home: the head knows."""
     tracker.follow_target()
     peer.mask &= ~128
     peer.answers[START] = peer.reply(START) + peer.point()
     peer.requests.clear()
     tracker.measure_point("top_left", window_s=0.5)
-    assert peer.told(SET_MODE, POINT_LASER) == [SET_MODE, POINT_LASER, SET_MODE, POINT_LASER]
+    moves = peer.told(SET_MODE, POINT_LASER, POINT_LASER_HVD)
+    assert moves == [SET_MODE, POINT_LASER, SET_MODE, POINT_LASER_HVD]
     assert peer.last(SET_MODE) == struct.pack("<I", 6)
-    assert peer.last(POINT_LASER) == struct.pack("<3d", *peer.p_tmac)
+    assert peer.last(POINT_LASER_HVD)[:16] == struct.pack("<2d", 0.25, 1.5)
 
 
 def test_beam_goes_back_to_the_tmac_when_a_reflector_is_not_found(peer, tracker: LeicaTracker):
@@ -124,7 +127,7 @@ def test_beam_goes_back_to_the_tmac_when_a_reflector_is_not_found(peer, tracker:
     with pytest.raises(TrackingLostError, match=r"nothing found within 0.05 m of \[3.0, 2.0"):
         tracker.measure_point("top_left", window_s=0.5)
     assert peer.last(SET_MODE) == struct.pack("<I", 6)
-    assert peer.last(POINT_LASER) == struct.pack("<3d", *peer.p_tmac)
+    assert peer.last(POINT_LASER_HVD)[:16] == struct.pack("<2d", 0.25, 1.5)
 
 
 def test_tmac_that_has_gone_does_not_spoil_a_point(peer, tracker: LeicaTracker):
