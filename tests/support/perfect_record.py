@@ -7,7 +7,6 @@ import numpy as np
 from records import make_record, make_results
 
 from tronlab.calib.inputs import FrameInput, points_of
-from tronlab.calib.record import IDENTIFIED_DEVICES
 from tronlab.campaign.provenance import device_identities
 from tronlab.campaign.rig import load_rig
 from tronlab.devices.laboratory import ReflectorsSpec
@@ -35,7 +34,7 @@ def save_perfect_record(path: Path, *, rig_path: Path) -> Path:
     record = make_record(
         results,
         rig_name=rig.name,
-        devices={name: identities[name] for name in IDENTIFIED_DEVICES},
+        devices={name: identities[name] for name in ("camera", "tracker", "tmac")},
     )
     frame = _measured(laboratory, rig.config.laboratory.reflectors)
     replace(record, inputs=record.inputs.with_parts(frame=frame)).save(path)

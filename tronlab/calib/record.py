@@ -31,8 +31,6 @@ from tronlab.yaml_models import parse_mapping
 
 SCHEMA = "tronlab-calibration"
 SCHEMA_VERSION = 3
-IDENTIFIED_DEVICES = ("camera", "tracker", "tmac")
-"""Whose exchange makes a record worthless."""
 
 T = TypeVar("T")
 

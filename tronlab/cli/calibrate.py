@@ -127,7 +127,7 @@ def intrinsics(
     marker_m: _Marker = None,
     dictionary: _Dictionary = "DICT_5X5_250",
     focal_px: Annotated[
-        float | None, typer.Option(help="With --from: focal length to start from, pixels.")
+        float | None, typer.Option(min=1.0, help="With --from: focal length to start from, pixels.")
     ] = None,
 ) -> None:
     """Calibrate the camera from images of a board: taken at a rig, or files."""

@@ -38,7 +38,7 @@ def _rows(record: "CalibrationRecord") -> Iterator[Row]:
     if results.camera is not None:
         yield from _camera(results.camera)
     if results.hand_eye is not None:
-        yield from _hand_eye(results.hand_eye)
+        yield from _hand_eye(results.hand_eye, setup=getattr(record.inputs.hand_eye, "setup", ""))
     if results.lamp is not None:
         yield from _lamp(results.lamp)
     if results.robot is not None:
@@ -72,9 +72,9 @@ def _camera(part: "CameraResult") -> Iterator[Row]:
         )
 
 
-def _hand_eye(part: "HandEyeResult") -> Iterator[Row]:
+def _hand_eye(part: "HandEyeResult", *, setup: str) -> Iterator[Row]:
     statistics = part.statistics
-    found = "base_from_cam" if statistics.get("setup") == "eye_to_hand" else "tmac_from_cam"
+    found = "base_from_cam" if setup == "eye_to_hand" else "tmac_from_cam"
     yield f"hand-eye {found}", _pose(part.tmac_from_cam)
     yield "  one sigma", _sigmas(part.covariance)
     if "least_determined" in statistics:

@@ -22,7 +22,7 @@ from tronlab.calib.hand_eye.motions import (
     stack_poses,
 )
 from tronlab.errors import CalibrationError, DegenerateGeometryError
-from tronlab.geometry.poses import FloatArray, skew
+from tronlab.geometry.poses import FloatArray, rotation_angle_rad, skew
 
 __all__ = [
     "CLOSED_FORMS",
@@ -81,6 +81,21 @@ def solve_closed_forms(trk_from_tmac: Poses, cam_from_board: Poses) -> dict[str,
             " each other"
         )
     return starts
+
+
+def distances(
+    starts: Mapping[str, HandEyeStart], tmac_from_cam: RigidTransform
+) -> dict[str, dict[str, float]]:
+    """Give how far each closed form lies from a solution, as plain values by its name."""
+    return {
+        name: {
+            "position_m": float(
+                np.linalg.norm(start.tmac_from_cam.translation - tmac_from_cam.translation)
+            ),
+            "angle_rad": rotation_angle_rad(start.tmac_from_cam, tmac_from_cam),
+        }
+        for name, start in starts.items()
+    }
 
 
 def disagreements(starts: Mapping[str, HandEyeStart]) -> tuple[str, ...]:

@@ -13,9 +13,11 @@ from tronlab.calib.hand_eye.closed_forms import (
     HandEyeStart,
     check_motions,
     disagreements,
+    distances,
     solve_closed_forms,
 )
 from tronlab.calib.hand_eye.contradictions import check_agreement
+from tronlab.calib.hand_eye.held_out import rms
 from tronlab.calib.hand_eye.least_determined import name_least_determined
 from tronlab.calib.hand_eye.pose_fit import (
     NOISE,
@@ -33,7 +35,6 @@ from tronlab.errors import CalibrationError, DegenerateGeometryError, FrameError
 from tronlab.geometry.poses import (
     FloatArray,
     pose_from_xyz_quat,
-    rotation_angle_rad,
     xyz_quat_from_pose,
 )
 
@@ -70,7 +71,7 @@ def solve_pose_pairs(measured: PosePairsInput) -> HandEyeResult:
     return HandEyeResult(
         tmac_from_cam=fit.start.tmac_from_cam,
         covariance=covariance,
-        statistics={"setup": measured.setup, **statistics, "correlated_pairs": correlation},
+        statistics={**statistics, "correlated_pairs": correlation},
     )
 
 
@@ -128,17 +129,15 @@ def _statistics(
     return {
         "n_pairs": len(pairs),
         "outlier_pairs": np.flatnonzero(~fit.is_used).tolist(),
-        "rms_rotation_rad": _rms(used[:, :3]),
-        "rms_translation_m": _rms(used[:, 3:]),
+        "rms_rotation_rad": rms(used[:, :3]),
+        "rms_translation_m": rms(used[:, 3:]),
         "target_scatter_m": float(
             np.median(np.linalg.norm(scatter - scatter.mean(axis=0), axis=1))
         ),
         "noise": {name: float(sigma) for name, sigma in zip(NOISE, sigmas, strict=True)},
         "held_out": _held_out(pairs, fit),
         "least_determined": name_least_determined(found, covariance, distance_m=distance_m),
-        "closed_forms": {
-            name: _difference(start.tmac_from_cam, found) for name, start in starts.items()
-        },
+        "closed_forms": distances(starts, found),
         "warnings": [*disagreements(starts), *_warnings(pairs, fit)],
         "trk_from_board": xyz_quat_from_pose(fit.start.trk_from_board).tolist(),
     }
@@ -162,7 +161,7 @@ def _held_out(pairs: PosePairs, fit: PoseFit) -> dict[str, float] | None:
             return None
         errors.append(residuals(pairs[held_out], refit(pairs, fit, others)))
     e = np.vstack(errors)
-    return {"rotation_rms_rad": _rms(e[:, :3]), "translation_rms_m": _rms(e[:, 3:])}
+    return {"rotation_rms_rad": rms(e[:, :3]), "translation_rms_m": rms(e[:, 3:])}
 
 
 def _warnings(pairs: PosePairs, fit: PoseFit) -> Iterator[str]:
@@ -190,15 +189,3 @@ def _camera_scale(pairs: PosePairs, fit: PoseFit) -> tuple[float, float]:
     by_scale[:, 3:] = trk_from_cam.apply(pairs.cam_from_board.translation)
     change, sigma = one_more_unknown(pairs, fit, by_scale)
     return 1.0 + change, sigma * float(np.sqrt(mean_correlation(pairs, fit)))
-
-
-def _difference(found: RigidTransform, best: RigidTransform) -> dict[str, float]:
-    return {
-        "position_m": float(np.linalg.norm(found.translation - best.translation)),
-        "angle_rad": rotation_angle_rad(found, best),
-    }
-
-
-def _rms(vectors: FloatArray) -> float:
-    """Give the root mean square of the vectors' lengths, shape (n, 3)."""
-    return float(np.sqrt((vectors**2).sum(axis=1).mean()))

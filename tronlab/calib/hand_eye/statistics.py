@@ -4,16 +4,15 @@ from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 
 import numpy as np
-from scipy.spatial.transform import RigidTransform
 from scipy.stats import chi2
 
 from tronlab.calib.hand_eye.bundle import BundleProblem, BundleSolution
-from tronlab.calib.hand_eye.closed_forms import HandEyeStart, disagreements
+from tronlab.calib.hand_eye.closed_forms import HandEyeStart, disagreements, distances
 from tronlab.calib.hand_eye.good_views import GoodViews
 from tronlab.calib.hand_eye.held_out import hold_out, rms
 from tronlab.calib.hand_eye.least_determined import name_least_determined
 from tronlab.calib.results import Statistics
-from tronlab.geometry.poses import FloatArray, rotation_angle_rad, xyz_quat_from_pose
+from tronlab.geometry.poses import FloatArray, xyz_quat_from_pose
 
 MIN_P_VALUE = 1e-3
 """Less likely pose corrections deserve a warning."""
@@ -58,10 +57,7 @@ def hand_eye_statistics(
         "least_determined": name_least_determined(
             state.tmac_from_cam, bundle.tmac_from_cam_covariance, distance_m=distance_m
         ),
-        "closed_forms": {
-            name: _difference(start.tmac_from_cam, state.tmac_from_cam)
-            for name, start in closed_forms.items()
-        },
+        "closed_forms": distances(closed_forms, state.tmac_from_cam),
         "warnings": [*disagreements(closed_forms), *_warnings(problem, bundle, good)],
         "board_bow_m": state.bow_m.tolist(),
         "trk_from_board": xyz_quat_from_pose(state.trk_from_board).tolist(),
@@ -87,13 +83,6 @@ def _warnings(problem: BundleProblem, bundle: BundleSolution, good: GoodViews) -
 
 def _p_value(bundle: BundleSolution) -> float:
     return float(chi2.sf(bundle.chi_square_poses, bundle.dof_poses))
-
-
-def _difference(found: RigidTransform, best: RigidTransform) -> dict[str, float]:
-    return {
-        "position_m": float(np.linalg.norm(found.translation - best.translation)),
-        "angle_rad": rotation_angle_rad(found, best),
-    }
 
 
 def lengths(differences: FloatArray) -> tuple[FloatArray, FloatArray]:
