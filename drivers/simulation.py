@@ -176,8 +176,8 @@ def _simulation_of_rig(
     kind: str, armed: Mapping[str, int], arguments: argparse.Namespace
 ) -> Simulation:
     from tronlab.campaign.rig import load_rig
+    from tronlab.devices.clock import WallClock
     from tronlab.twin.server import RemoteState
-    from tronlab.twin.world import WallClock
 
     rig = load_rig(arguments.rig)
     setup = rig.world_setup()

@@ -102,6 +102,10 @@ class IncompleteFrameError(DeviceError):
     """Parts of an image were lost on the way. Retryable."""
 
 
+class QualityError(DeviceError):
+    """A shot is not as good as the campaign wants, and shall be taken again. Retryable."""
+
+
 class LimitError(DeviceError):
     """A command lies outside what the device may do. Never retried, never clipped."""
 

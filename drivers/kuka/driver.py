@@ -11,7 +11,6 @@ import numpy as np
 
 from drivers.kuka.backend import CommandKind, ControllerState, MotionBackend, Refusal
 from drivers.kuka.eki_backend import EkiBackend
-from drivers.kuka.kinematics import axes_for, excesses, forward
 from drivers.kuka.kvp_backend import KvpBackend
 from drivers.kuka.linear import follow_line
 from drivers.kuka.motion import Motion, Mover
@@ -28,6 +27,7 @@ from tronlab.errors import (
     NotReadyError,
 )
 from tronlab.geometry.poses import FloatArray, rotation_angle_rad
+from tronlab.kinematics.kr16 import axes_for, excesses, forward
 
 _MODEL: Final = re.compile(r"KR\s*16(?!\d)", re.IGNORECASE)
 _STOP_TIMEOUT_S: Final = 5.0

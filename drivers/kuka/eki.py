@@ -12,8 +12,9 @@ from xml.etree import ElementTree
 from scipy.spatial.transform import RigidTransform
 
 from drivers.kuka.backend import FREE, Command, ControllerState, Mode
-from drivers.kuka.position import AXIS_NAMES, Axes, pose_from_xyz_mm_abc_deg, xyz_mm_abc_deg
+from drivers.kuka.position import Axes, pose_from_xyz_mm_abc_deg, xyz_mm_abc_deg
 from tronlab.errors import ProtocolError
+from tronlab.kinematics.kr16 import AXIS_NAMES
 
 COMMAND_ROOT: Final = "RobotCommand"
 COMMAND_TAGS: Final = {

@@ -10,7 +10,8 @@ from typing import Final
 
 from scipy.spatial.transform import RigidTransform
 
-from drivers.kuka.position import AXIS_NAMES, Axes, pose_from_xyz_mm_abc_deg, xyz_mm_abc_deg
+from drivers.kuka.position import Axes, pose_from_xyz_mm_abc_deg, xyz_mm_abc_deg
+from tronlab.kinematics.kr16 import AXIS_NAMES
 
 _POSITION_NAMES: Final = ("X", "Y", "Z", "A", "B", "C")
 _EXTERNAL_NAMES: Final = tuple(f"E{i}" for i in range(1, 7))

@@ -5,7 +5,10 @@ from typing import Final
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Slerp
 
-from drivers.kuka.kinematics import (
+from tronlab.errors import LimitError
+from tronlab.geometry.poses import FloatArray
+from tronlab.kinematics.kr16 import (
+    AXIS_NAMES,
     Branch,
     Limits,
     excesses,
@@ -13,9 +16,6 @@ from drivers.kuka.kinematics import (
     inverse,
     singularities_near,
 )
-from drivers.kuka.position import AXIS_NAMES
-from tronlab.errors import LimitError
-from tronlab.geometry.poses import FloatArray
 
 _N_STEPS: Final = 50
 _LARGEST_STEP_RAD: Final = float(np.radians(45.0))

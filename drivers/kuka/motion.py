@@ -9,12 +9,12 @@ from typing import Final
 import numpy as np
 
 from drivers.kuka.backend import Command, CommandKind, ControllerState, MotionBackend, Refusal
-from drivers.kuka.kinematics import forward
 from drivers.kuka.options import KukaOptions
-from drivers.kuka.position import AXIS_NAMES, Axes
+from drivers.kuka.position import Axes
 from drivers.kuka.readiness import refused, require_running
 from tronlab.errors import DeviceError, DeviceFaultError, DeviceTimeoutError, ProtocolError
 from tronlab.geometry.poses import rotation_angle_rad
+from tronlab.kinematics.kr16 import AXIS_NAMES, forward
 
 POLL_S: Final = 0.02
 """Between two looks at the controller, at least; EthernetKRL tells its state more rarely."""

@@ -5,8 +5,8 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field, model_validator
 
-from drivers.kuka.kinematics import KR16_LIMITS_RAD, Limits
 from tronlab.devices.laboratory import Positive
+from tronlab.kinematics.kr16 import KR16_LIMITS_RAD, Limits
 from tronlab.yaml_models import Model
 
 Port = Annotated[int, Field(ge=1, le=65535)]

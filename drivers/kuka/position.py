@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from tronlab.geometry.poses import FloatArray
+from tronlab.kinematics.kr16 import AXIS_NAMES
 
-AXIS_NAMES = ("A1", "A2", "A3", "A4", "A5", "A6")
 _GIMBAL = 1e-12
 """Cosine of B below which A and C cannot be told apart."""
 

@@ -3,7 +3,7 @@
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeAlias
 
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
@@ -29,6 +29,8 @@ def _calibration_file(value: Path, info: ValidationInfo) -> Path:
 
 
 Seconds = Annotated[float, Field(gt=0, le=3600)]
+Fraction = Annotated[float, Field(ge=0, le=1)]
+NotifyEvent: TypeAlias = Literal["begun", "suspended", "resumed", "done", "aborted", "failed"]
 
 
 class DatabaseConfig(Model):
@@ -111,12 +113,149 @@ class RoomConfig(Model):
 
     needs_closed_door: bool = True
     """Wait while the door is open, and take a shot again during which it was."""
-    timeout_s: Seconds = 3600.0
-    """How long to wait for a person to make the cell safe."""
     max_temperature_difference_k: Annotated[float, Field(gt=0)] = 1.0
     """Warn if the room's air and the tracker's differ by more: 1 K changes a distance by 1 ppm."""
     max_pressure_difference_pa: Annotated[float, Field(gt=0)] = 200.0
     """Likewise; 400 Pa change a distance by 1 ppm."""
+
+
+GateAction: TypeAlias = Literal["off", "flag", "retake"]
+
+
+class GateConfig(Model):
+    """When a shot that was taken is good enough; each check flags the shot, or has it retaken.
+
+    What still fails after ``max_retakes`` is kept with its flags: nothing that was recorded is
+    thrown away.
+    """
+
+    max_retakes: Annotated[int, Field(ge=0, le=10)] = 1
+    """How often one shot is taken again for its quality."""
+    saturation: GateAction = "flag"
+    max_saturated_fraction: Fraction = 0.02
+    """Part of the pixels within the mask that are at full scale."""
+    contrast: GateAction = "flag"
+    min_contrast: Annotated[float, Field(ge=0)] = 0.05
+    """Standard deviation over mean of the grey values within the mask."""
+    blur: GateAction = "retake"
+    min_sharpness: Annotated[float, Field(ge=0, le=1)] = 0.5
+    """Sharpness against the median of the shots before it: 1 is as sharp as they are."""
+    target: GateAction = "flag"
+    min_usable_fraction: Fraction = 0.05
+    """Part of the image that shows the model, by the measured pose."""
+    tracker: GateAction = "retake"
+    max_tracker_sigma_m: Annotated[float, Field(gt=0)] = 2e-4
+    """Scatter of the T-MAC's position as the tracker states it: largest of three axes."""
+    robot: GateAction = "flag"
+    max_robot_shift_m: Annotated[float, Field(gt=0)] = 0.03
+    """How far the measured camera may be from where the robot was to put it."""
+    max_robot_turn_deg: Annotated[float, Field(gt=0)] = 1.0
+    """Likewise its rotation."""
+    temperature: GateAction = "flag"
+    max_temperature_change_k: Annotated[float, Field(gt=0)] = 2.0
+    """How far the room's air may be from what it was at the first shot of the session."""
+    brightness: GateAction = "flag"
+    max_brightness_change: Annotated[float, Field(gt=0, le=1)] = 0.15
+    """How far the light on the model, against what a rendering predicts, may be from the median of
+    the shots before it: beyond it the lamp has drifted, see ``suspend.on_lamp_drift``."""
+
+
+class RetryRule(Model):
+    """What is done about one class of errors."""
+
+    max_attempts: Annotated[int, Field(ge=1, le=20)] = 3
+    """Attempts at one shot; 1 is no second try."""
+    pauses_s: Annotated[tuple[Annotated[float, Field(ge=0, le=600)], ...], Field(min_length=1)] = (
+        1.0,
+        5.0,
+    )
+    """Before the second, third... attempt; the last one is used again for all that follow."""
+
+
+class RetryConfig(Model):
+    """How often a shot is tried again, by class of error; every failure is counted in the data."""
+
+    tracking_lost: RetryRule = RetryRule()
+    """The beam is broken or does not find its target."""
+    not_settled: RetryRule = RetryRule()
+    """The pose still moves."""
+    incomplete_frame: RetryRule = RetryRule()
+    """Parts of an image were lost on the way."""
+    not_ready: RetryRule = RetryRule()
+    """A device is warming up or busy."""
+    lost_connection: RetryRule = RetryRule()
+    """A device was lost or does not answer; it is connected again first. Never the robot."""
+    on_failure: Literal["stop", "skip"] = "skip"
+    """When attempts are used up: end the run, or leave the shot out and go on with the next;
+    ``tronlab run --retake DIR --failed`` takes them later."""
+    max_skipped_in_row: Annotated[int, Field(ge=1)] = 3
+    """So many shots skipped one after the other end the run all the same."""
+
+
+class SuspendConfig(Model):
+    """Conditions in which a run waits, and goes on by itself when they are over."""
+
+    timeout_s: Seconds = 3600.0
+    """How long it waits for one of them."""
+    look_s: Annotated[float, Field(gt=0, le=60)] = 0.5
+    """Between two looks whether it is over."""
+    on_beam_lost: bool = True
+    """Wait for the tracker's beam when the attempts of ``retry.tracking_lost`` are used up."""
+    on_lamp_drift: bool = False
+    """Wait until the lamp is as bright again as it was, or a person resumes."""
+    min_free_mb: Annotated[float, Field(ge=0)] = 200.0
+    """Wait for room on the disk when less is free."""
+
+
+class RecordingConfig(Model):
+    """How the dataset is written."""
+
+    segment_shots: Annotated[int, Field(ge=1, le=100_000)] = 100
+    """Images and masks of so many shots go to one file; a full one never changes again, so that a
+    running campaign can be copied elsewhere."""
+
+
+class NotifyConfig(Model):
+    """A command that is told how the run goes."""
+
+    command: Annotated[tuple[str, ...], Field(min_length=1)]
+    """Program and arguments, without a shell. It gets the environment variables
+    ``TRONLAB_EVENT``, ``TRONLAB_TEXT``, ``TRONLAB_CAMPAIGN``, ``TRONLAB_DATASET`` and
+    ``TRONLAB_SHOTS`` (taken/planned)."""
+    events: Annotated[tuple[NotifyEvent, ...], Field(min_length=1)] = (
+        "suspended",
+        "resumed",
+        "done",
+        "aborted",
+        "failed",
+    )
+    """Of what it is told."""
+    timeout_s: Seconds = 30.0
+    """It is ended after so long; the run never waits for it."""
+
+
+class PlanConfig(Model):
+    """What a plan must be like before anything moves."""
+
+    min_usable_fraction: Fraction = 0.2
+    """Least part of each image that shows the model: the paper uses images above 20 % (section
+    3.3)."""
+    range_los_m: tuple[Annotated[float, Field(ge=0)], Annotated[float, Field(gt=0)]] = (0.3, 100.0)
+    """Least and greatest distance to the terrain along the optical axis."""
+    min_lit_fraction: Fraction = 0.05
+    """Least part of the visible model that the lamp lights, the robot's shadow considered."""
+    max_robot_shadow: Fraction = 0.02
+    """Greatest part of the visible model that the robot keeps the lamp from."""
+    order: Literal["trajectory", "least_motion"] = "trajectory"
+    """Take the shots as the trajectory has them, or in the order that takes least time to move."""
+    on_refused: Literal["stop", "skip"] = "stop"
+    """What a run does about shots that the plan refuses: do not begin, or leave them out."""
+
+    @model_validator(mode="after")
+    def _range_is_ordered(self) -> "PlanConfig":
+        if self.range_los_m[0] >= self.range_los_m[1]:
+            raise ValueError("range_los_m: the first value must be below the second")
+        return self
 
 
 class ScoreConfig(Model):
@@ -160,6 +299,18 @@ class CampaignConfig(Model):
     """How the robot is driven."""
     room: RoomConfig = RoomConfig()
     """What the room must be like."""
+    plan: PlanConfig = PlanConfig()
+    """What is checked before anything moves."""
+    gate: GateConfig = GateConfig()
+    """When a shot is good enough."""
+    retry: RetryConfig = RetryConfig()
+    """How often a shot is tried again."""
+    suspend: SuspendConfig = SuspendConfig()
+    """When the run waits, and goes on by itself."""
+    recording: RecordingConfig = RecordingConfig()
+    """How the dataset is written."""
+    notify: NotifyConfig | None = None
+    """A command that is told how the run goes; null: nobody."""
     score: ScoreConfig = ScoreConfig()
     """How the dataset is scored."""
 

@@ -19,13 +19,13 @@ from bluesky import RunEngine
 from bluesky.utils import DuringTask, FailedStatus, Msg
 
 from tronlab.campaign.drift import DriftChecks
-from tronlab.campaign.plan import Plan, Shot
 from tronlab.campaign.policy import MAX_ATTEMPTS, PAUSES_S, Remedy, Setbacks, remedy_for
 from tronlab.campaign.shot import ShotTaker
 from tronlab.campaign.steps import Measurement, Mover, Numbers, Worker, deed
 from tronlab.campaign.stop import RunStoppedError, StopRequest
 from tronlab.dataset.records import DriftRecord, ShotRecord
 from tronlab.errors import DeviceError
+from tronlab.planning.shots import Plan, Shot
 
 _SAFETY_LOOK_S = 0.5
 _LOOK_UP_S = 0.1
@@ -324,7 +324,7 @@ def _pause_until_safe(
         setbacks.unsafe_since_s = now_s
         setbacks.suspensions += 1
         run.listener.on_wait(task.name, error)
-    elif now_s - setbacks.unsafe_since_s > run.taker.config.room.timeout_s:
+    elif now_s - setbacks.unsafe_since_s > run.taker.config.suspend.timeout_s:
         return None
     return _SAFETY_LOOK_S
 

@@ -7,9 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 from pydantic import Field
 
+from tronlab.devices.cell import CellSpec
+from tronlab.devices.clock import WallClock
 from tronlab.devices.laboratory import LaboratorySpec
 from tronlab.devices.protocols import Device
-from tronlab.devices.registry import KINDS, DeviceContext, Devices, make_device
+from tronlab.devices.registry import CLOCK_KEY, KINDS, DeviceContext, Devices, make_device
 from tronlab.errors import ConfigError
 from tronlab.terrain.config import TerrainConfig
 from tronlab.terrain.heightmap import HeightMap
@@ -66,6 +68,8 @@ class RigConfig(Model):
     """The devices, and the drivers that talk to them."""
     calibration: CalibrationConfig = CalibrationConfig()
     """How calibrations of this rig are looked after."""
+    cell: CellSpec = CellSpec()
+    """What the robot must not hit, what the tracker sees, and how long things take: for plans."""
     world: WorldConfig | None = None
     """The simulated laboratory behind twin devices; a rig of hardware has none."""
 
@@ -82,6 +86,7 @@ class RigVariant(Model):
     terrain: TerrainConfig | None = None
     devices: DevicesConfig | None = None
     calibration: CalibrationConfig | None = None
+    cell: CellSpec | None = None
     world: WorldConfig | None = None
 
 
@@ -151,7 +156,8 @@ class Rig:
                 errors.extend(self._placed(part, kind) for part in error.parts)
         if errors:
             raise join_errors(errors)
-        return Devices(**devices)  # pyright: ignore[reportArgumentType]  # make_device checked them
+        clock: Any = shared.get(CLOCK_KEY) or WallClock()
+        return Devices(**devices, clock=clock)  # pyright: ignore[reportArgumentType]  # make_device checked them
 
     def device_context(
         self,

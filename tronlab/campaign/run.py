@@ -14,13 +14,6 @@ from tronlab.campaign.config import Campaign, load_campaign
 from tronlab.campaign.drift import Vigil, begin_vigil, open_watch
 from tronlab.campaign.engine import RunListener, run_shots
 from tronlab.campaign.live import Live, SilentLive
-from tronlab.campaign.plan import (
-    Plan,
-    check_reach,
-    check_terrain_in_view,
-    database_indices,
-    make_plan,
-)
 from tronlab.campaign.policy import MAX_ATTEMPTS
 from tronlab.campaign.provenance import device_identities, software_versions
 from tronlab.campaign.reference import render_references
@@ -32,6 +25,13 @@ from tronlab.dataset.writer import DatasetWriter
 from tronlab.devices.registry import Devices, connected
 from tronlab.errors import CalibrationError, ConfigError, DatasetError, PlanError
 from tronlab.nav.cores import known_cores
+from tronlab.planning.shots import (
+    Plan,
+    check_reach,
+    check_terrain_in_view,
+    database_indices,
+    make_plan,
+)
 from tronlab.render.heightfield import HeightfieldRenderer
 from tronlab.render.renderer import Lamp
 from tronlab.terrain.heightmap import HeightMap

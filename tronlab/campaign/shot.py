@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from tronlab.calib.record import CalibrationRecord
 from tronlab.campaign.config import CampaignConfig, SettleConfig
 from tronlab.campaign.drift import DriftWatch
-from tronlab.campaign.plan import RangeFinder, Shot, range_los_m
 from tronlab.dataset.records import DriftRecord, ShotRecord, Truth
 from tronlab.devices.readings import Frame, PoseReading, RobotReading, RoomReading
 from tronlab.devices.registry import Devices
 from tronlab.errors import DeviceError, NotSettledError, SafetyError
 from tronlab.geometry.poses import pose_from_xyz_quat, rotation_angle_rad, xyz_quat_from_pose
+from tronlab.planning.shots import RangeFinder, Shot, range_los_m
 from tronlab.render.mask import model_mask
 from tronlab.terrain.heightmap import HeightMap
 

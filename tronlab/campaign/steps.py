@@ -10,9 +10,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
-from tronlab.campaign.plan import Shot
 from tronlab.campaign.shot import ShotTaker
 from tronlab.campaign.stop import RunStoppedError, StopRequest
+from tronlab.planning.shots import Shot
 
 _PATIENCE_S = 5.0
 

@@ -1,7 +1,8 @@
 """The values a dataset holds: records of shots, and the reference views of the terrain."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,71 @@ class Truth:
     """Part of the image that shows the model: set pixels of the mask over all pixels, 0 to 1."""
 
 
+QualityFlag: TypeAlias = Literal[
+    "saturation",
+    "contrast",
+    "blur",
+    "target",
+    "tracker",
+    "robot",
+    "temperature",
+    "brightness",
+]
+"""What a quality gate may hold against a shot."""
+
+ErrorClass: TypeAlias = Literal[
+    "tracking_lost",
+    "not_settled",
+    "incomplete_frame",
+    "not_ready",
+    "lost_connection",
+    "unsafe",
+    "quality",
+]
+"""Why an attempt at a shot came to nothing; ``unsafe`` is a door, ``quality`` the gate."""
+
+
+@dataclass(frozen=True, slots=True)
+class ShotQuality:
+    """What was measured of how good a shot is; None where it could not be."""
+
+    settle_shift_m: float
+    """Between the last two looks at the T-MAC before the measurement: the dispersion at rest."""
+    settle_turn_rad: float
+    exposure_shift_m: float
+    """Between the measurement before and the look after the exposure."""
+    exposure_turn_rad: float
+    tracker_sigma_m: float
+    """Largest of three axes, as the tracker states it."""
+    robot_shift_m: float
+    """Measured camera against where the robot was to put it."""
+    robot_turn_rad: float
+    saturated_fraction: float
+    """Of the pixels within the mask; of all pixels if the mask is empty. Likewise below."""
+    contrast: float
+    """Standard deviation over mean of the grey values."""
+    sharpness: float
+    """Energy of the image's Laplacian over its variance: a number to compare shots by."""
+    brightness: float | None
+    """Mean grey value over what a rendering predicts, per second of exposure; None: none was
+    predicted."""
+    flags: tuple[QualityFlag, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ShotTiming:
+    """How long the parts of a shot took, by the laboratory's clock, seconds."""
+
+    move_s: float
+    settle_s: float
+    tracker_s: float
+    camera_s: float
+    confirm_s: float
+    read_s: float
+    lost_s: float
+    """Since the last shot was done: failed attempts, waiting, pauses; 0 if nothing went wrong."""
+
+
 @dataclass(frozen=True, slots=True)
 class ShotRecord:
     """Everything recorded of one shot; raw readings first, so that truth can be recomputed."""
@@ -46,6 +112,43 @@ class ShotRecord:
     mask: NDArray[np.bool_]
     """True where the flat outline of the model is seen, shape (rows, columns)."""
     truth: Truth
+    quality: ShotQuality | None = None
+    """None in datasets that were imported or are older than layout 2."""
+    timing: ShotTiming | None = None
+    """Likewise."""
+    n_failures: Mapping[ErrorClass, int] = field(default_factory=dict[ErrorClass, int])
+    """Attempts that came to nothing before this one, by why; classes of none are left out."""
+    session: int = 1
+    """Which session of the dataset took it: begun, resumed or retaken."""
+
+
+SessionKind: TypeAlias = Literal["run", "resume", "retake", "import"]
+
+
+@dataclass(frozen=True, slots=True)
+class Session:
+    """One time that somebody recorded into a dataset, and with what."""
+
+    number: int
+    """From 1."""
+    kind: SessionKind
+    start_utc: str
+    """ISO 8601."""
+    campaign_path: str
+    """Where the campaign file was; likewise below."""
+    rig_path: str
+    calibration_path: str
+    campaign_yaml: str
+    rig_yaml: str
+    calibration_json: str
+    plan_sha256: str
+    seed: int
+    software: Mapping[str, str]
+    devices: Mapping[str, str]
+    host: str
+    pid: int
+    accepted: tuple[str, ...] = ()
+    """What spoke against going on, and was accepted all the same, one line each."""
 
 
 @dataclass(frozen=True, slots=True)

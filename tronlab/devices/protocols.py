@@ -11,6 +11,7 @@ from tronlab.devices.readings import (
     Frame,
     PointReading,
     PoseReading,
+    Posture,
     RobotReading,
     RobotTarget,
     RoomReading,
@@ -76,6 +77,23 @@ class Robot(Device, Protocol):
 
     def stop(self) -> None:
         """Stop any motion at once; may be called from another thread during ``move``."""
+        ...
+
+
+@runtime_checkable
+class MotionModel(Protocol):
+    """A robot that can say how it would move; needs no connection, and not every one can."""
+
+    def posture_for(self, target: RobotTarget, *, near: Posture | None = None) -> Posture:
+        """Choose how to stand at a target, with the least motion from ``near``.
+
+        Raises:
+            LimitError: Rail or arm cannot reach it; the message names the limit.
+        """
+        ...
+
+    def move_duration_s(self, start: Posture, end: Posture) -> float:
+        """Estimate how long ``move`` takes from one posture to another, coming to rest included."""
         ...
 
 

@@ -75,6 +75,15 @@ class RobotTarget:
 
 
 @dataclass(frozen=True, slots=True)
+class Posture:
+    """How rail and arm stand at a target: one of the ways to stand there."""
+
+    rail_m: float
+    axes_rad: FloatArray
+    """A1 to A6 of the arm, shape (6,)."""
+
+
+@dataclass(frozen=True, slots=True)
 class RobotReading:
     """Where the robot's own encoders say it stands."""
 

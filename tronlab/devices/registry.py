@@ -13,11 +13,14 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel
 
+from tronlab.devices.clock import Clock, WallClock
 from tronlab.devices.protocols import Camera, Device, Operator, PoseTracker, Robot, RoomIO
 from tronlab.errors import ConfigError, TronlabError
 from tronlab.yaml_models import parse_mapping
 
 ENTRY_POINT_GROUP = "tronlab.devices"
+CLOCK_KEY = "tronlab.clock"
+"""Where simulated devices that let time pass at once keep their clock in ``shared``."""
 SIMULATOR_GROUP = "tronlab.simulators"
 """Modules that run as ``python -m``, and have ``FAULTS``: name of each fault, and what happens."""
 
@@ -77,6 +80,8 @@ class Devices:
     camera: Camera
     room: RoomIO
     operator: Operator
+    clock: Clock = field(default_factory=WallClock)
+    """The time of the laboratory they are in."""
 
     def all(self) -> tuple[Device, ...]:
         """Give every device."""

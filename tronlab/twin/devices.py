@@ -9,6 +9,7 @@ from numpy.random import Generator
 from pydantic import AfterValidator
 
 from tronlab.devices.address import parse_address
+from tronlab.devices.clock import WallClock
 from tronlab.devices.protocols import OperatorTask
 from tronlab.devices.readings import (
     DeviceIdentity,
@@ -19,14 +20,14 @@ from tronlab.devices.readings import (
     RobotTarget,
     RoomReading,
 )
-from tronlab.devices.registry import DeviceContext
+from tronlab.devices.registry import CLOCK_KEY, DeviceContext
 from tronlab.errors import ConfigError, DeviceTimeoutError, LimitError, NotConnectedError
 from tronlab.twin.instruments import CameraOptics, Positioning, TrackerOptics, noise_of
 from tronlab.twin.reach import check_reach
 from tronlab.twin.sensor import HIGHEST_CODE
 from tronlab.twin.server import RemoteState
 from tronlab.twin.truth import deviate
-from tronlab.twin.world import WallClock, World, WorldSetup
+from tronlab.twin.world import World, WorldSetup
 from tronlab.yaml_models import Model
 
 WORLD_KEY = "tronlab.twin.world"
@@ -357,7 +358,9 @@ def _common_world(context: DeviceContext) -> World:
         raise ConfigError(f"simulated device '{context.name}' needs this section", key="world")
     options = context.parse_options(TwinOptions)
     if options.world is None:
-        return context.share(WORLD_KEY, lambda: World(setup))
+        world = context.share(WORLD_KEY, lambda: World(setup))
+        context.share(CLOCK_KEY, lambda: world.clock)
+        return world
     host, port = parse_address(options.world)
     return context.share(
         f"{WORLD_KEY} at {options.world}",

@@ -1,15 +1,14 @@
 """The one world behind all simulated devices: what is true, and what light reaches the camera."""
 
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
+from tronlab.devices.clock import Clock, SimulatedClock
 from tronlab.devices.laboratory import CameraSpec, LaboratorySpec, Vector
 from tronlab.devices.readings import RobotTarget
 from tronlab.geometry.camera import CameraModel
@@ -39,48 +38,6 @@ class WorldSetup:
     laboratory: LaboratorySpec
     load_heightmap: Callable[[], HeightMap]
     """Gives the terrain model; called once, when the camera is connected."""
-
-
-class Clock(Protocol):
-    """What tells devices the time."""
-
-    @property
-    def now_s(self) -> float:
-        """Get the time, seconds since 1970 UTC."""
-        ...
-
-    def advance(self, duration_s: float) -> None:
-        """Let time pass."""
-        ...
-
-
-class SimulatedClock:
-    """Time that passes only when a device takes some."""
-
-    def __init__(self, start_s: float) -> None:
-        self._now_s = start_s
-
-    @property
-    def now_s(self) -> float:
-        """Get the simulated time, seconds since 1970 UTC."""
-        return self._now_s
-
-    def advance(self, duration_s: float) -> None:
-        """Let time pass at once."""
-        self._now_s += duration_s
-
-
-class WallClock:
-    """The computer's time: letting it pass means waiting."""
-
-    @property
-    def now_s(self) -> float:
-        """Get the time, seconds since 1970 UTC."""
-        return time.time()
-
-    def advance(self, duration_s: float) -> None:
-        """Wait."""
-        time.sleep(duration_s)
 
 
 class World:

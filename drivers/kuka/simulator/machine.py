@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from drivers.kuka import kinematics
 from drivers.kuka.simulator.command import FREE, CartesianPosition
 from tronlab.geometry.poses import FloatArray
+from tronlab.kinematics import kr16
 
 N_ARM: Final = 6
 RAIL: Final = 6
@@ -131,7 +131,7 @@ def position_of(axes: FloatArray) -> CartesianPosition:
     pose = flange_of(axes)
     x, y, z = (float(v) for v in pose.translation * 1e3)
     a, b, c = _abc_deg(pose.rotation)
-    status, turn = kinematics.status_and_turn(np.radians(axes[:N_ARM]))
+    status, turn = kr16.status_and_turn(np.radians(axes[:N_ARM]))
     return CartesianPosition(x, y, z, a, b, c, status, turn, float(axes[RAIL]))
 
 
@@ -166,8 +166,8 @@ def axes_at(
     limits = np.radians(np.stack([machine.lowest_deg, machine.highest_deg], axis=1))
     found = [
         axes
-        for branch in kinematics.inverse(base_from_flange, near_rad=near_rad).values()
-        for axes in kinematics.turned_within(branch, limits)
+        for branch in kr16.inverse(base_from_flange, near_rad=near_rad).values()
+        for axes in kr16.turned_within(branch, limits)
         if _is_asked_for(axes, status, turn)
     ]
     if not found:
@@ -177,11 +177,11 @@ def axes_at(
 
 def has_axes(base_from_flange: RigidTransform) -> bool:
     """Look whether the arm is long enough for a pose, whatever the limits of its axes."""
-    return bool(kinematics.inverse(base_from_flange))
+    return bool(kr16.inverse(base_from_flange))
 
 
 def _is_asked_for(axes_rad: FloatArray, status: int, turn: int) -> bool:
-    found_status, found_turn = kinematics.status_and_turn(axes_rad)
+    found_status, found_turn = kr16.status_and_turn(axes_rad)
     return status in (FREE, found_status) and turn in (FREE, found_turn)
 
 

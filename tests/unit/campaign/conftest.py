@@ -13,7 +13,6 @@ from tronlab.calib.inputs import FrameInput, Inputs, PointInput
 from tronlab.calib.record import CalibrationRecord
 from tronlab.campaign.config import CampaignConfig
 from tronlab.campaign.drift import open_watch
-from tronlab.campaign.plan import Plan, Shot
 from tronlab.campaign.shot import ShotTaker, TruthSource
 from tronlab.devices.laboratory import ReflectorsSpec
 from tronlab.devices.readings import (
@@ -29,6 +28,7 @@ from tronlab.devices.readings import (
 from tronlab.devices.registry import Devices
 from tronlab.geometry.camera import CameraModel
 from tronlab.geometry.poses import FloatArray
+from tronlab.planning.shots import Plan, Shot
 from tronlab.terrain.heightmap import HeightMap
 
 COVARIANCE_M2 = ((1e-10, 0.0, 0.0), (0.0, 1e-10, 0.0), (0.0, 0.0, 1e-10))

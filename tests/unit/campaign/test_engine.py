@@ -8,7 +8,6 @@ from tronlab.campaign import engine
 from tronlab.campaign.config import DriftConfig
 from tronlab.campaign.drift import DriftChecks, n_checks
 from tronlab.campaign.engine import RunListener, run_shots
-from tronlab.campaign.plan import Plan
 from tronlab.campaign.policy import MAX_ATTEMPTS
 from tronlab.campaign.shot import ShotTaker
 from tronlab.campaign.steps import Status
@@ -26,6 +25,7 @@ from tronlab.errors import (
     SafetyError,
     TrackingLostError,
 )
+from tronlab.planning.shots import Plan
 
 ONE_SHOT = [
     *["read_room", "move"],

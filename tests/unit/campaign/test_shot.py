@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from tronlab.campaign.plan import Plan
 from tronlab.campaign.shot import ShotTaker
 from tronlab.devices.readings import PoseReading
 from tronlab.errors import DeviceError, NotSettledError
+from tronlab.planning.shots import Plan
 
 
 def take(taker: ShotTaker, plan: Plan) -> Any:

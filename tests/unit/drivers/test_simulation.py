@@ -15,11 +15,12 @@ import pytest
 
 from drivers.simulation import LOOPBACK, Simulation, announce, fail, start
 from tronlab.campaign.rig import load_rig
+from tronlab.devices.clock import WallClock
 from tronlab.errors import ConfigError
 from tronlab.twin.instruments import noise_of
 from tronlab.twin.server import StateServer
 from tronlab.twin.state import LocalState
-from tronlab.twin.world import WallClock, initial_state
+from tronlab.twin.world import initial_state
 
 RIGS = Path(__file__).parents[3] / "campaigns" / "rigs"
 FAULTS = {"tracker.deaf": "hears nothing", "tracker.dumb": "says nothing"}

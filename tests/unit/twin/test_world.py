@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
+from tronlab.devices.clock import SimulatedClock
 from tronlab.devices.registry import Devices
 from tronlab.geometry.uncertainty import pose_difference
 from tronlab.terrain.heightmap import HeightMap
-from tronlab.twin.world import SimulatedClock, World, WorldSetup
+from tronlab.twin.world import World, WorldSetup
 
 EXACT_ROBOT = {
     "repeatability_sigma_m": 0.0,

@@ -9,7 +9,6 @@ from scipy.spatial.transform import RigidTransform
 
 from drivers.kuka.backend import CommandKind, ControllerState, Mode
 from drivers.kuka.driver import KukaRobot, open_robot
-from drivers.kuka.kinematics import forward
 from drivers.kuka.options import KukaOptions
 from drivers.kuka.position import Axes
 from tronlab.devices.readings import DeviceIdentity, RobotTarget
@@ -25,6 +24,7 @@ from tronlab.errors import (
     ProtocolError,
     SafetyError,
 )
+from tronlab.kinematics.kr16 import forward
 
 HOME = Axes.from_controller((0, -90, 90, 0, 40, 0), 1000.0)
 OPTIONS = {

@@ -8,7 +8,6 @@ import pytest
 from scipy.spatial.transform import RigidTransform
 
 from drivers.kuka.driver import open_robot
-from drivers.kuka.kinematics import forward
 from drivers.kuka.simulator import faults as f
 from drivers.kuka.simulator.controller import Controller
 from drivers.kuka.simulator.eki import EkiServer
@@ -28,6 +27,7 @@ from tronlab.errors import (
     ProtocolError,
     SafetyError,
 )
+from tronlab.kinematics.kr16 import forward
 from tronlab.twin.state import ArmedFaults
 
 NIMBLE = Machine(

@@ -17,7 +17,6 @@ from drivers.kuka.eki import (
     encode_command,
 )
 from drivers.kuka.eki_backend import EkiBackend
-from drivers.kuka.kinematics import forward
 from drivers.kuka.options import EkiOptions
 from drivers.kuka.position import Axes, xyz_mm_abc_deg
 from tronlab.errors import (
@@ -26,6 +25,7 @@ from tronlab.errors import (
     NotConnectedError,
     ProtocolError,
 )
+from tronlab.kinematics.kr16 import forward
 
 STATE = (
     b'<RobotState Seq="17" Ack="5" Done="4" Err="3">'

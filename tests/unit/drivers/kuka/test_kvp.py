@@ -9,7 +9,6 @@ import py_openshowvar
 import pytest
 
 from drivers.kuka.backend import Command, CommandKind, Mode
-from drivers.kuka.kinematics import forward
 from drivers.kuka.kvp import KvpClient, decode_reply, read_request, write_request
 from drivers.kuka.kvp_backend import KvpBackend
 from drivers.kuka.options import KvpOptions
@@ -20,6 +19,7 @@ from tronlab.errors import (
     NotConnectedError,
     ProtocolError,
 )
+from tronlab.kinematics.kr16 import forward
 
 # From the C3 Bridge Interface Protocol 1.5.
 READ_ACCU = bytes.fromhex("01 00 00 0E 00 00 0B 24 41 43 43 55 5F 53 54 41 54 45")

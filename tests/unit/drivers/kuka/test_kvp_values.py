@@ -2,7 +2,6 @@
 
 import pytest
 
-from drivers.kuka.kinematics import forward
 from drivers.kuka.krl_values import (
     format_axes,
     format_position,
@@ -14,6 +13,7 @@ from drivers.kuka.krl_values import (
     parse_text,
 )
 from drivers.kuka.position import Axes, xyz_mm_abc_deg
+from tronlab.kinematics.kr16 import forward
 
 
 @pytest.mark.parametrize(

@@ -14,11 +14,12 @@ from drivers.leica.simulator.__main__ import main
 from drivers.leica.simulator.scene import SCATTER_M, SCATTER_RAD, WorldScene
 from tronlab.campaign.rig import load_rig
 from tronlab.devices.accuracy import StatedAccuracy
+from tronlab.devices.clock import WallClock
 from tronlab.devices.readings import RobotTarget
 from tronlab.geometry.uncertainty import pose_difference
 from tronlab.twin.instruments import TrackerOptics, noise_of
 from tronlab.twin.server import StateServer
-from tronlab.twin.world import WallClock, World
+from tronlab.twin.world import World
 
 ROOT = Path(__file__).parents[5]
 TWIN_YAML = ROOT / "campaigns" / "rigs" / "twin.yaml"

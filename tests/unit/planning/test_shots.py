@@ -6,7 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from tronlab.campaign.plan import (
+from tronlab.devices.laboratory import MountingSpec, PoseSpec
+from tronlab.devices.readings import RobotTarget
+from tronlab.errors import LimitError, PlanError
+from tronlab.geometry.poses import pose_along_boresight
+from tronlab.planning.shots import (
     Plan,
     Shot,
     check_reach,
@@ -14,10 +18,6 @@ from tronlab.campaign.plan import (
     database_indices,
     make_plan,
 )
-from tronlab.devices.laboratory import MountingSpec, PoseSpec
-from tronlab.devices.readings import RobotTarget
-from tronlab.errors import LimitError, PlanError
-from tronlab.geometry.poses import pose_along_boresight
 
 MOUNTING = MountingSpec(
     trs_from_rail=PoseSpec(xyz_m=(2.3, 2.0, 6.0), zyx_deg=(0.0, 90.0, 180.0)),

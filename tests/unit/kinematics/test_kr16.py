@@ -8,7 +8,15 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from drivers.kuka.kinematics import (
+from drivers.kuka.linear import follow_line
+from drivers.kuka.position import (
+    abc_deg_from_rotation,
+    pose_from_xyz_mm_abc_deg,
+    rotation_from_abc_deg,
+    xyz_mm_abc_deg,
+)
+from tronlab.errors import LimitError
+from tronlab.kinematics.kr16 import (
     BRANCHES,
     ELBOW_STRETCHED_RAD,
     KR16_LIMITS_RAD,
@@ -21,14 +29,6 @@ from drivers.kuka.kinematics import (
     status_and_turn,
     turned_within,
 )
-from drivers.kuka.linear import follow_line
-from drivers.kuka.position import (
-    abc_deg_from_rotation,
-    pose_from_xyz_mm_abc_deg,
-    rotation_from_abc_deg,
-    xyz_mm_abc_deg,
-)
-from tronlab.errors import LimitError
 
 FLANGE_AT = [
     # axes in degrees, tool0 in mm, and its A, B, C in degrees, checked against the URDF

@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from drivers.kuka.position import AXIS_NAMES
 from tronlab.errors import LimitError
 from tronlab.geometry.poses import FloatArray
+
+AXIS_NAMES: Final = ("A1", "A2", "A3", "A4", "A5", "A6")
 
 Limits: TypeAlias = FloatArray
 """Lowest and highest angle of each axis, shape (6, 2), radians."""

@@ -6,7 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.kuka.kinematics import (
+from tronlab.calib.wizard.stations import POOL_SIZE, plan_stations
+from tronlab.campaign.config import load_campaign
+from tronlab.campaign.rig import load_rig
+from tronlab.kinematics.kr16 import (
     KR16_LIMITS_RAD,
     Branch,
     axes_for,
@@ -14,13 +17,10 @@ from drivers.kuka.kinematics import (
     forward,
     singularities_near,
 )
-from tronlab.calib.wizard.stations import POOL_SIZE, plan_stations
-from tronlab.campaign.config import load_campaign
-from tronlab.campaign.rig import load_rig
 from tronlab.trajectory.poses import camera_poses
 from tronlab.twin.world import initial_state
 
-CAMPAIGNS = Path(__file__).parents[4] / "campaigns"
+CAMPAIGNS = Path(__file__).parents[3] / "campaigns"
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,1 @@
+"""From the axes of a robot to its flange, and back."""
