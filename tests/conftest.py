@@ -4,11 +4,22 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from tronlab.dataset.records import DriftRecord, Provenance, ReferenceView, ShotRecord, Truth
+from tronlab.dataset import schema
+from tronlab.dataset.records import (
+    DriftRecord,
+    Provenance,
+    ReferenceView,
+    Session,
+    ShotQuality,
+    ShotRecord,
+    ShotTiming,
+    Truth,
+)
 from tronlab.dataset.writer import DatasetWriter
 from tronlab.devices.readings import (
     Frame,
@@ -73,6 +84,12 @@ def make_drift() -> Callable[..., DriftRecord]:
 
 
 @pytest.fixture
+def make_session() -> Callable[..., Session]:
+    """The factory ``make_session(number, kind="run", ...)`` of sessions."""
+    return fake_session
+
+
+@pytest.fixture
 def small_dataset(tmp_path: Path) -> Path:
     """A complete and valid dataset of 5 shots (ids 0 to 4), 2 reference views, 2 drift checks."""
     path = tmp_path / "dataset.h5"
@@ -87,6 +104,35 @@ def small_dataset(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.fixture
+def segmented_dataset(tmp_path: Path) -> Path:
+    """As a run leaves it: 5 shots (ids 0 to 4) in segments of 2, room for 3 more, aborted."""
+    path = tmp_path / "recorded" / "dataset.h5"
+    path.parent.mkdir()
+    with DatasetWriter(
+        path, fake_provenance(5), session=fake_session(1), segment_shots=2, n_spare_rows=3
+    ) as writer:
+        writer.add_references([fake_view(0)])
+        writer.plan_drift_checks(REFLECTORS, 2)
+        writer.commit_drift(fake_drift(0))
+        for i in range(5):
+            writer.commit(fake_shot(i, has_quality=True))
+        writer.commit_drift(fake_drift(5))
+        writer.finish("aborted", "operator")
+    return path
+
+
+@pytest.fixture
+def empty_dataset(tmp_path: Path) -> Path:
+    """A dataset whose shots do not count: its counter is 0."""
+    path = tmp_path / "empty.h5"
+    with DatasetWriter(path, fake_provenance(5)) as writer:
+        writer.commit(fake_shot(0))
+    with h5py.File(path, "r+") as file:
+        file[schema.N_COMMITTED][()] = 0
+    return path
+
+
 def fake_shot(
     i: int,
     *,
@@ -94,6 +140,7 @@ def fake_shot(
     attempt: int = 1,
     dtype: type[np.uint8] | type[np.uint16] = np.uint8,
     trs_from_cam: RigidTransform | None = None,
+    has_quality: bool = False,
 ) -> ShotRecord:
     """Shot ``i`` of the small camera, consistent in itself, all values distinct."""
     rng = np.random.default_rng([7, i])
@@ -137,7 +184,61 @@ def fake_shot(
             range_los_m=4.0 - 0.05 * i,
             usable_fraction=float(mask.mean()),
         ),
+        quality=_quality(i) if has_quality else None,
+        timing=_timing(i) if has_quality else None,
+        n_failures={"tracking_lost": i, "quality": 1} if has_quality and i else {},
     )
+
+
+def _quality(i: int) -> ShotQuality:
+    return ShotQuality(
+        settle_shift_m=1e-5 + 1e-7 * i,
+        settle_turn_rad=2e-6,
+        exposure_shift_m=3e-6,
+        exposure_turn_rad=4e-6,
+        tracker_sigma_m=1.5e-5,
+        robot_shift_m=4e-4,
+        robot_turn_rad=1e-4,
+        saturated_fraction=0.001 * i,
+        contrast=0.4,
+        sharpness=0.7,
+        brightness=None if i % 2 else 12.5,
+        flags=("saturation", "brightness") if i == 3 else (),
+    )
+
+
+def _timing(i: int) -> ShotTiming:
+    return ShotTiming(
+        move_s=2.0 + i,
+        settle_s=0.5,
+        tracker_s=0.25,
+        camera_s=0.02,
+        confirm_s=0.1,
+        read_s=0.01,
+        lost_s=0.0 if i else 3.5,
+    )
+
+
+def fake_session(number: int = 1, kind: str = "run", **fields: object) -> Session:
+    """Session ``number`` of the campaign with the small camera."""
+    provenance = fake_provenance()
+    values = {
+        "start_utc": f"2026-11-2{number}T10:00:00.000+00:00",
+        "campaign_path": "/lab/line.yaml",
+        "rig_path": "/lab/rig.yaml",
+        "calibration_path": "/lab/record.json",
+        "campaign_yaml": provenance.campaign_yaml,
+        "rig_yaml": provenance.rig_yaml,
+        "calibration_json": provenance.calibration_json,
+        "plan_sha256": provenance.plan_sha256,
+        "seed": provenance.seed,
+        "software": provenance.software,
+        "devices": provenance.devices,
+        "host": "laboratory",
+        "pid": 1000 + number,
+        "accepted": ("rig: another lamp",) if number > 1 else (),
+    }
+    return Session(number=number, kind=kind, **{**values, **fields})
 
 
 def fake_provenance(n_shots_planned: int = 5) -> Provenance:

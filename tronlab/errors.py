@@ -142,5 +142,9 @@ class PlanError(TronlabError):
     """The list of shots makes no sense: empty, or one id twice."""
 
 
+class ChangedError(TronlabError):
+    """Plan, rig or calibration are not those that a dataset was begun with."""
+
+
 class ScoreError(TronlabError):
     """A score cannot be computed: an unknown navigation core, or nothing to score."""

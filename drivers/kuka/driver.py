@@ -14,11 +14,12 @@ from drivers.kuka.eki_backend import EkiBackend
 from drivers.kuka.kvp_backend import KvpBackend
 from drivers.kuka.linear import follow_line
 from drivers.kuka.motion import Motion, Mover
+from drivers.kuka.motion_model import KukaMotionModel
 from drivers.kuka.options import EkiOptions, KukaOptions
 from drivers.kuka.position import Axes
 from drivers.kuka.rail import Rail
 from drivers.kuka.readiness import require_ready
-from tronlab.devices.readings import DeviceIdentity, RobotReading, RobotTarget
+from tronlab.devices.readings import DeviceIdentity, Posture, RobotReading, RobotTarget
 from tronlab.devices.registry import DeviceContext
 from tronlab.errors import (
     DeviceError,
@@ -27,7 +28,7 @@ from tronlab.errors import (
     NotReadyError,
 )
 from tronlab.geometry.poses import FloatArray, rotation_angle_rad
-from tronlab.kinematics.kr16 import axes_for, excesses, forward
+from tronlab.kinematics.kr16 import excesses, forward
 
 _MODEL: Final = re.compile(r"KR\s*16(?!\d)", re.IGNORECASE)
 _STOP_TIMEOUT_S: Final = 5.0
@@ -48,6 +49,7 @@ class KukaRobot:
         self._options = options
         self._backend = backend
         self._rail = Rail(options, device=name)
+        self._model = KukaMotionModel(options, device=name)
         self._limits_rad = options.axis_limits_deg.limits_rad
         self._mover: Mover | None = None
         self._one_at_a_time = threading.Lock()
@@ -106,6 +108,18 @@ class KukaRobot:
     def check(self, target: RobotTarget) -> None:
         """Return if rail and arm can reach the target."""
         self._axes(target, self._connected("check").last_axes, call="check")
+
+    def posture_for(self, target: RobotTarget, *, near: Posture | None = None) -> Posture:
+        """Choose how ``move`` would stand at a target, coming from ``near``; needs no connection.
+
+        Raises:
+            LimitError: Rail or arm cannot reach it; the message names the limit.
+        """
+        return self._model.posture_for(target, near=near)
+
+    def move_duration_s(self, start: Posture, end: Posture) -> float:
+        """Estimate how long ``move`` takes; needs no connection, see ``PaceOptions``."""
+        return self._model.move_duration_s(start, end)
 
     def read(self) -> RobotReading:
         """Read rail and flange pose from the encoders."""
@@ -222,15 +236,9 @@ class KukaRobot:
         return self._rail.detour_m(rail_m, now_m=self._rail.rail_m(state.axes.e1_m))
 
     def _axes(self, target: RobotTarget, now: Axes, *, call: str) -> Axes:
-        self._rail.check(target.rail_m, call=call)
-        arm_rad = axes_for(
-            target.base_from_flange,
-            now.arm_rad,
-            limits_rad=self._limits_rad,
-            device=self._name,
-            call=call,
-        )
-        return self._with_rail(arm_rad, target.rail_m)
+        near = Posture(self._rail.rail_m(now.e1_m), np.array(now.arm_rad))
+        posture = self._model.posture_for(target, near=near, call=call)
+        return self._with_rail(posture.axes_rad, posture.rail_m)
 
     def _with_rail(self, arm_rad: FloatArray | tuple[float, ...], rail_m: float) -> Axes:
         return Axes(tuple(float(a) for a in arm_rad), self._rail.e1_m(rail_m))

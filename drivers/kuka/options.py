@@ -83,6 +83,26 @@ class SettleOptions(Model):
     """Each axis of the arm may be so far from where it was sent."""
 
 
+class PaceOptions(Model):
+    """How fast the robot is taken to be where a plan estimates its time; it changes no motion.
+
+    The controller does not tell its accelerations. These are the simulator's: compare the estimate
+    with some moves of the real robot, and correct it here.
+    """
+
+    axis_ramp_s: Positive = 0.3
+    """How long an axis takes to its full speed at an acceleration of 100 %."""
+    rail_speed_m_per_s: Positive = 1.0
+    """Highest speed of the rail."""
+    rail_acceleration_m_per_s2: Positive = 0.5
+    """Highest acceleration of the rail."""
+    override_pct: Percent = 50
+    """Where the program override at the pendant will stand."""
+    command_s: NotNegative = 0.3
+    """Of each motion, beyond moving and ``settle.dwell_s``: until the command is accepted, its end
+    is seen, and enough readings agree."""
+
+
 class KukaOptions(Model):
     """A KUKA KR 16 on a rail."""
 
@@ -112,6 +132,7 @@ class KukaOptions(Model):
     operating_modes: tuple[Literal["T1", "T2", "AUT", "EXT"], ...] = ("AUT", "EXT")
     """Modes in which moves are begun. T1 is for first trials, with a person at the pendant."""
     settle: SettleOptions = SettleOptions()
+    pace: PaceOptions = PaceOptions()
 
     @model_validator(mode="after")
     def _rail_has_room_to_approach(self) -> "KukaOptions":

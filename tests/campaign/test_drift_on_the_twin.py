@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from recorder import Recorder
 from typer.testing import CliRunner
 
 from tronlab.calib.record import CalibrationRecord
@@ -17,18 +18,6 @@ from tronlab.errors import CalibrationError
 
 EditYaml = Callable[..., None]
 N_REFLECTORS = 3
-
-
-class Recorder:
-    """A live view that remembers what was announced."""
-
-    def __init__(self) -> None:
-        self.texts: list[str] = []
-
-    def announce(self, text: str) -> None:
-        self.texts.append(text)
-
-    def advance(self, stage: str, *, n_done: int, n_all: int) -> None: ...
 
 
 def push_tracker(edit_yaml: EditYaml, rig_path: Path, *, at_check: int) -> None:

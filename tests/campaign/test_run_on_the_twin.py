@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recorder import Recorder
 
 from tronlab.campaign.run import CampaignInterrupted, run_campaign
 from tronlab.campaign.stop import StopRequest
@@ -28,22 +29,6 @@ from tronlab.errors import (
 
 MAIN = "from tronlab.cli import main; main()"
 EditYaml = Callable[..., None]
-
-
-class Recorder:
-    """A live view that remembers, and may act when a stage advances."""
-
-    def __init__(self, on_advance: Callable[[str, int], None] | None = None) -> None:
-        self.texts: list[str] = []
-        self.progress: list[tuple[str, int, int]] = []
-        self._on_advance = on_advance or (lambda stage, n_done: None)
-
-    def announce(self, text: str) -> None:
-        self.texts.append(text)
-
-    def advance(self, stage: str, *, n_done: int, n_all: int) -> None:
-        self.progress.append((stage, n_done, n_all))
-        self._on_advance(stage, n_done)
 
 
 def test_complete_run_is_valid_and_its_truth_is_right(campaign_path: Path, tmp_path: Path) -> None:

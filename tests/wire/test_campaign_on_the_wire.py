@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from recorder import Recorder
 from ruamel.yaml import YAML
 from scipy.stats import chi2
 from wire_laboratory import WireLaboratory, write_yaml
@@ -24,22 +25,14 @@ Start = Callable[..., WireLaboratory]
 SEED = 3
 
 
-class Recorder:
-    """A live view that remembers, and acts when a shot is committed."""
+def at_shots(action: Callable[[int], None]) -> Recorder:
+    """Make a live view that acts when a shot was committed."""
 
-    def __init__(self, on_shot: Callable[[int], None] = lambda n_done: None) -> None:
-        self.texts: list[str] = []
-        self._on_shot = on_shot
-
-    def announce(self, text: str) -> None:
-        self.texts.append(text)
-
-    def advance(self, stage: str, *, n_done: int, n_all: int) -> None:
+    def act(stage: str, n_done: int) -> None:
         if stage == "shots" and n_done:
-            self._on_shot(n_done)
+            action(n_done)
 
-    def said(self, text: str) -> bool:
-        return any(text in line for line in self.texts)
+    return Recorder(act)
 
 
 def later(delay_s: float, action: Callable[[], None]) -> threading.Timer:
@@ -64,7 +57,7 @@ def test_the_campaign_runs_unchanged_and_gives_the_same(
     """Same shots; truth within the tracker's noise; equal images where the true pose is equal."""
     wire = start_wire(protocol=protocol)
     states: list[WorldState] = []
-    live = Recorder(lambda _n_done: states.append(wire.state.read()))
+    live = at_shots(lambda _n_done: states.append(wire.state.read()))
     path = run_campaign(
         campaign_path, rig_path=wire.rig.path, out_dir=tmp_path / "wire", seed=SEED, live=live
     )
@@ -120,7 +113,7 @@ def test_an_open_door_suspends_the_campaign(
             timers.append(later(2.0, lambda: wire.state.change(is_door_closed=True)))
 
     timers: list[threading.Timer] = []
-    live = Recorder(open_door)
+    live = at_shots(open_door)
     path = run_campaign(campaign_path, rig_path=wire.rig.path, out_dir=tmp_path / "out", live=live)
     assert live.said("waiting before shot 2: room: the door is open"), live.texts
     assert live.said("safe again: shot 2")
@@ -155,7 +148,7 @@ def test_a_fault_that_passes_costs_time_but_no_shot(
             wire.state.arm(fault)
             timers.append(later(lasts_s, lambda: wire.state.arm(fault, times=0)))
 
-    live = Recorder(strike)
+    live = at_shots(strike)
     path = run_campaign(campaign_path, rig_path=wire.rig.path, out_dir=tmp_path / "out", live=live)
     assert live.said(says), live.texts
     assert ids_of(path) == [1, 2, 3, 4]
@@ -171,7 +164,7 @@ def test_a_tracker_pushed_on_the_wire_is_found_and_the_shots_are_suspect(
     root["trajectory"]["n_points"] = 2
     write_yaml(campaign_path, {**root, "drift": {"window_s": 0.1}})
     shift_m = (0.002, -0.001, 0.002)
-    live = Recorder(lambda _n_done: wire.state.change(tracker_shift_m=shift_m))
+    live = at_shots(lambda _n_done: wire.state.change(tracker_shift_m=shift_m))
     path = run_campaign(campaign_path, rig_path=wire.rig.path, out_dir=tmp_path / "out", live=live)
     assert live.said("drift check at the start: nothing moved"), live.texts
     assert live.said("drift check after 2 shots: the tracker moved"), live.texts

@@ -1,18 +1,19 @@
-"""A calibration record that should not serve is refused, unless a person accepts it."""
+"""What speaks against going on is refused, unless a person accepts it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from tronlab.errors import CalibrationError
+from tronlab.errors import CalibrationError, ChangedError
 
 
 @dataclass
 class Acceptance:
-    """What a person lets pass, told by ``--accept-calibration``, and what that was."""
+    """What a person lets pass, told by an option of the command line, and what that was."""
 
     is_given: bool
     warn: Callable[[str], None]
     """Told of everything that passes."""
+    option: str = "--accept-calibration"
     accepted: list[str] = field(default_factory=list[str], init=False)
     """For the provenance of the dataset, one line each."""
 
@@ -21,14 +22,14 @@ class Acceptance:
 
         Raises:
             CalibrationError: Of the check, with the advice how to accept it.
+            ChangedError: Likewise.
         """
         try:
             check()
-        except CalibrationError as error:
+        except (CalibrationError, ChangedError) as error:
             if not self.is_given:
-                raise CalibrationError(
-                    f"{error}\nor use it all the same, and the dataset says so:"
-                    " --accept-calibration"
+                raise type(error)(
+                    f"{error}\nor go on all the same, and the dataset says so: {self.option}"
                 ) from None
             reason = str(error).partition("\n")[0].rstrip(";")
             self.accepted.append(reason)

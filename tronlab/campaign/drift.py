@@ -1,6 +1,7 @@
 """Drift checks of a campaign: do the reflectors still lie where the calibration record has them?"""
 
 import time
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
@@ -9,11 +10,10 @@ from tronlab.calib.record import CalibrationRecord
 from tronlab.calib.reflectors.drift import compare_reflectors
 from tronlab.calib.results import FrameResult
 from tronlab.campaign.acceptance import Acceptance
-from tronlab.campaign.config import DriftConfig
-from tronlab.campaign.policy import PAUSES_S, Remedy, remedy_for
+from tronlab.campaign.config import DriftConfig, RetryConfig
+from tronlab.campaign.policy import class_of, pause_before_next_s
 from tronlab.campaign.stop import StopRequest
 from tronlab.dataset.records import DriftRecord
-from tronlab.dataset.writer import DatasetWriter
 from tronlab.devices.protocols import PoseTracker
 from tronlab.devices.readings import PointReading
 from tronlab.errors import CalibrationError, DeviceError
@@ -81,7 +81,7 @@ class Vigil:
 
     def checks(
         self,
-        writer: DatasetWriter,
+        store: Callable[[DriftRecord], None],
         *,
         n_shots: int,
         stop: StopRequest,
@@ -92,8 +92,8 @@ class Vigil:
         Drift that was accepted at the start does not end it later.
 
         Args:
-            writer: The dataset; the first check is stored at once.
-            n_shots: How many the run has; after the last one there is nothing to end.
+            store: Puts a check into the dataset, the first one at once.
+            n_shots: How many the session has; after the last one there is nothing to end.
             stop: Likewise once a person has ended it.
             announce: Told what each check found.
         """
@@ -101,7 +101,7 @@ class Vigil:
         goes_on = watch.config.on_drift == "continue" or not self.first.is_within
 
         def commit(check: DriftRecord) -> None:
-            writer.commit_drift(check)
+            store(check)
             found = watch.describe(check)
             if check.is_within:
                 announce(found)
@@ -112,8 +112,7 @@ class Vigil:
                 raise CalibrationError(f"{found};\n{watch.advice}")
             announce(found)
 
-        writer.plan_drift_checks(watch.reflectors, n_checks(n_shots, watch.config))
-        writer.commit_drift(self.first)
+        store(self.first)
         return DriftChecks(every_n_shots=watch.config.every_n_shots, commit=commit)
 
 
@@ -136,6 +135,7 @@ def begin_vigil(
     acceptance: Acceptance,
     *,
     on_retry: Callable[[int, DeviceError], None],
+    retry: RetryConfig | None = None,
     sleep: Callable[[float], None] = time.sleep,
 ) -> Vigil:
     """Look, before anything moves, whether the calibration still holds.
@@ -144,13 +144,16 @@ def begin_vigil(
         watch: Measures.
         acceptance: Whether a person lets drift pass.
         on_retry: Told of an attempt that failed, if another follows.
+        retry: How often it is tried; by default as often as a campaign that does not say.
         sleep: Waits between attempts.
 
     Raises:
         CalibrationError: Something has moved, and this was not accepted.
         DeviceError: The reflectors cannot be measured.
     """
-    first = _patiently(lambda: watch.check(0), on_retry=on_retry, sleep=sleep)
+    first = _patiently(
+        lambda: watch.check(0), on_retry=on_retry, retry=retry or RetryConfig(), sleep=sleep
+    )
 
     def refuse_drift() -> None:
         if not first.is_within:
@@ -191,15 +194,22 @@ def _patiently(
     measure: Callable[[], DriftRecord],
     *,
     on_retry: Callable[[int, DeviceError], None],
+    retry: RetryConfig,
     sleep: Callable[[float], None],
 ) -> DriftRecord:
-    """Measure, and try again where the policy says so: whoever stands in the beam may go on."""
-    for attempt, pause_s in enumerate(PAUSES_S, start=1):
+    """Measure, and try again where it may help: whoever stands in the beam may go on."""
+    rules = {"tracking_lost": retry.tracking_lost, "not_ready": retry.not_ready}
+    n_failures: Counter[str] = Counter()
+    while True:
         try:
             return measure()
         except DeviceError as error:
-            if remedy_for(error) is not Remedy.RETRY:
+            kind = class_of(error)
+            if kind not in rules:
                 raise
-            on_retry(attempt, error)
+            n_failures[kind] += 1
+            pause_s = pause_before_next_s(rules[kind], n_failures[kind])
+            if pause_s is None:
+                raise
+            on_retry(n_failures.total(), error)
             sleep(pause_s)
-    return measure()

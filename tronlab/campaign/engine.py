@@ -13,21 +13,22 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
-import bluesky.plan_stubs as bps
 import bluesky.preprocessors as bpp
 from bluesky import RunEngine
 from bluesky.utils import DuringTask, FailedStatus, Msg
 
+from tronlab.campaign.brake import Brake
+from tronlab.campaign.console import Abort, Console, Decision, Note, Resume, Retake
+from tronlab.campaign.course import Course
 from tronlab.campaign.drift import DriftChecks
-from tronlab.campaign.policy import MAX_ATTEMPTS, PAUSES_S, Remedy, Setbacks, remedy_for
+from tronlab.campaign.listener import RunListener
+from tronlab.campaign.policy import Again, GiveUp, Setbacks, Wait
 from tronlab.campaign.shot import ShotTaker
-from tronlab.campaign.steps import Measurement, Mover, Numbers, Worker, deed
+from tronlab.campaign.steps import Attempt, Measurement, Mover, Numbers, Worker, deed
 from tronlab.campaign.stop import RunStoppedError, StopRequest
-from tronlab.dataset.records import DriftRecord, ShotRecord
-from tronlab.errors import DeviceError
+from tronlab.dataset.records import ShotRecord
 from tronlab.planning.shots import Plan, Shot
 
-_SAFETY_LOOK_S = 0.5
 _LOOK_UP_S = 0.1
 
 Messages: TypeAlias = Generator[Msg, Any, None]
@@ -37,56 +38,67 @@ Messages: TypeAlias = Generator[Msg, Any, None]
 logging.getLogger("bluesky").addHandler(logging.NullHandler())
 
 
-@dataclass(frozen=True)
-class RunListener:
-    """Who is told what happens; the calls come from the engine's thread.
+@dataclass(frozen=True, slots=True)
+class RunOutcome:
+    """How a run went that came to its end."""
 
-    A task is a shot or a drift check, by the name it has in messages.
-    """
-
-    on_shot: Callable[[ShotRecord], None] = lambda record: None
-    """A shot was committed."""
-    on_retry: Callable[[str, int, Exception], None] = lambda task, attempt, error: None
-    """An attempt failed and another follows: task, the attempt that failed, its error."""
-    on_wait: Callable[[str, Exception], None] = lambda task, error: None
-    """The cell is not safe: the run waits before this task."""
-    on_resume: Callable[[str], None] = lambda task: None
-    """It is safe again, and this task was done."""
+    skipped: Mapping[int, str]
+    """Shots of which nothing is stored: why, by id."""
 
 
 def run_shots(
     plan: Plan,
     taker: ShotTaker,
     *,
-    commit: Callable[[ShotRecord], None],
+    commit: Callable[[ShotRecord, bool], None],
     drift: DriftChecks | None = None,
     stop: StopRequest | None = None,
     listener: RunListener | None = None,
-) -> None:
+    console: Console | None = None,
+    free_bytes: Callable[[], int] | None = None,
+    n_spare_rows: int | None = None,
+) -> RunOutcome:
     """Take every shot of a plan and commit it; works in any thread.
 
     Args:
         plan: What to take.
-        taker: Does the steps of a shot, and of a drift check.
-        commit: Stores a record; whatever it raises ends the run.
+        taker: Does the steps of a shot, and of a drift check; its configuration says what is done
+            about errors.
+        commit: Stores a record, given whether it replaces one of this run; whatever it raises ends
+            the run.
         drift: When to check for drift; by default never.
-        stop: Where to look for a request to stop.
+        stop: Where to look for a request to pause or stop.
         listener: Who is told.
+        console: Who is asked how to go on after the first request; without one the run stops.
+        free_bytes: Gives the room left on the disk; by default it is not watched.
+        n_spare_rows: Room in the dataset for shots that are taken again; by default no limit.
+
+    Returns:
+        Which shots were skipped; all others are committed.
 
     Raises:
-        RunStoppedError: ``stop`` was asked for.
+        RunStoppedError: ``stop`` was asked for, and a person did not let the run go on.
         DeviceError: A device failed, and ``policy`` knows no remedy or none has helped.
+        DatasetError: The disk stayed full for too long.
     """
     stop = stop or StopRequest()
-    run = _Run(taker, commit=commit, drift=drift, stop=stop, listener=listener or RunListener())
-    with _engine() as engine:
-        engine.subscribe(run.take_document)
+    course = Course(
+        plan,
+        taker,
+        commit=commit,
+        drift=drift,
+        stop=stop,
+        listener=listener or RunListener(),
+        free_bytes=free_bytes,
+        n_spare_rows=n_spare_rows,
+    )
+    with _hired(course, console) as crew, _engine() as engine:
+        engine.subscribe(course.take_document)
         try:
-            engine(_campaign(plan, run))
+            engine(_campaign(plan, crew))
         except FailedStatus as error:
             raise (error.__cause__ or error) from None
-        finally:
-            run.worker.join()
+    return RunOutcome(skipped=dict(course.schedule.skipped))
 
 
 @contextmanager
@@ -113,111 +125,74 @@ class _WakefulWait(DuringTask):
             pass
 
 
-class _Run:
-    """What the tasks of one run share."""
-
-    def __init__(
-        self,
-        taker: ShotTaker,
-        *,
-        commit: Callable[[ShotRecord], None],
-        drift: DriftChecks | None,
-        stop: StopRequest,
-        listener: RunListener,
-    ) -> None:
-        self.taker = taker
-        self.drift = drift
-        self.stop = stop
-        self.listener = listener
-        self.worker = Worker(stop)
-        self.shots: dict[tuple[int, int], ShotRecord] = {}
-        """The mailbox: by id and attempt."""
-        self.checks: dict[int, DriftRecord] = {}
-        """The mailbox of drift checks: by the number of shots before."""
-        self.n_at_last_check = 0
-        """A check before the first shot is made before the engine starts."""
-        self._commit = commit
-        self._committed: set[int] = set()
-
-    @property
-    def n_committed(self) -> int:
-        """Get the number of shots that are stored."""
-        return len(self._committed)
-
-    def take_document(self, name: str, document: Mapping[str, Any]) -> None:
-        """Commit what an event speaks of."""
-        if name != "event":
-            return
-        data = document["data"]
-        if "shot_id" in data:
-            self._take_shot(self.shots.pop((data["shot_id"], data["attempt"])))
-        else:
-            self._take_check(self.checks.pop(data["n_shots_before"]))
-
-    def _take_shot(self, record: ShotRecord) -> None:
-        """Commit a shot; a replayed event finds it committed."""
-        if record.shot_id in self._committed:
-            return
-        self._commit(record)
-        self._committed.add(record.shot_id)
-        self.listener.on_shot(record)
-
-    def _take_check(self, check: DriftRecord) -> None:
-        """Commit a drift check; a replayed event finds it committed."""
-        if self.drift is None or check.n_shots_before == self.n_at_last_check:
-            return
-        self.n_at_last_check = check.n_shots_before
-        self.drift.commit(check)
-
-
 @dataclass(frozen=True)
 class _Task:
     """What is tried until it is done."""
 
     name: str
-    begin: Callable[[int], None]
-    """Forgets what was before; is given the number of the attempt."""
-    attempt: Callable[[int], Messages]
+    begin: Callable[[Setbacks], None]
+    """Forgets what was before."""
+    attempt: Callable[[Setbacks], Messages]
+    can_be_skipped: bool
 
 
 @dataclass(frozen=True)
 class _Crew:
     """Who does the tasks of a run."""
 
-    run: _Run
+    course: Course
+    worker: Worker
+    console: Console | None
     mover: Mover
-    guard: Measurement
-    """Looks whether the room is safe."""
-    steps: tuple[Measurement, ...]
+    measurements: tuple[Measurement, ...]
     """Of a shot after the move, in this order."""
     watch: Measurement
     """Checks for drift."""
 
 
-def _campaign(plan: Plan, run: _Run) -> Messages:
-    taker, worker = run.taker, run.worker
-    crew = _Crew(
-        run=run,
-        mover=Mover(worker, taker),
-        guard=deed("room", worker, taker.check_room),
-        steps=(
-            Measurement("settle", worker, taker.settle),
-            Measurement("tracker", worker, taker.measure),
-            Measurement("camera", worker, taker.grab),
-            Measurement("confirm", worker, taker.confirm),
-            Measurement("encoders", worker, taker.read),
-            Measurement("record", worker, lambda: _post_shot(run)),
+@contextmanager
+def _hired(course: Course, console: Console | None) -> Generator[_Crew]:
+    """Give a crew; afterwards nothing of it is at work any more, and the robot stands still."""
+    taker, stop = course.taker, course.stop
+    with Brake(taker.devices.robot, warn=taker.warn) as brake:
+        stop.on_at_once(brake.pull)  # before all others
+        with Worker(stop) as worker:
+            if console is not None:
+                stop.on_at_once(console.dismiss)
+            crew = _crew(course, worker, brake, console)
+            yield crew
+        crew.mover.stop()  # if it still moves: nobody waits for it any more
+
+
+def _crew(course: Course, worker: Worker, brake: Brake, console: Console | None) -> _Crew:
+    taker = course.taker
+
+    def in_safe_room(name: str, step: Callable[[], Numbers]) -> Measurement:
+        return Measurement(name, worker, lambda: (taker.check_room(), step())[1])
+
+    return _Crew(
+        course=course,
+        worker=worker,
+        console=console,
+        mover=Mover(worker, taker, brake, check=course.check_before_shot),
+        measurements=(
+            in_safe_room("settle", taker.settle),
+            in_safe_room("tracker", taker.measure),
+            in_safe_room("camera", taker.grab),
+            in_safe_room("confirm", taker.confirm),
+            in_safe_room("encoders", taker.read),
+            Measurement("gate", worker, course.judge),
+            Measurement("record", worker, course.post_shot),
         ),
-        watch=Measurement("reflectors", worker, lambda: _post_check(run)),
+        watch=in_safe_room("reflectors", course.post_check),
     )
 
+
+def _campaign(plan: Plan, crew: _Crew) -> Messages:
     @bpp.run_decorator(md={"plan_sha256": plan.sha256, "n_shots": len(plan.shots)})
     def tasks() -> Messages:
         try:
-            for shot in plan.shots:
-                yield from _until_done(_shot_task(shot, crew), crew)
-                if _is_check_due(run, n_planned=len(plan.shots)):
-                    yield from _until_done(_check_task(crew), crew)
+            yield from _tasks(crew)
         except RunStoppedError:
             yield from _last_check(crew)
             raise
@@ -225,28 +200,18 @@ def _campaign(plan: Plan, run: _Run) -> Messages:
     yield from tasks()
 
 
-def _post_shot(run: _Run) -> Numbers:
-    record = run.taker.assemble()
-    run.shots[record.shot_id, record.attempt] = record
-    return {
-        "shot_id": record.shot_id,
-        "attempt": record.attempt,
-        "range_los_m": record.truth.range_los_m,
-        "usable_fraction": record.truth.usable_fraction,
-    }
-
-
-def _post_check(run: _Run) -> Numbers:
-    check = run.taker.check_drift(run.n_committed)
-    run.checks[check.n_shots_before] = check
-    return {"n_shots_before": check.n_shots_before, "max_shift_m": check.max_shift_m}
-
-
-def _is_check_due(run: _Run, *, n_planned: int) -> bool:
-    if run.drift is None:
-        return False
-    every = run.drift.every_n_shots
-    return run.n_committed == n_planned or (every is not None and run.n_committed % every == 0)
+def _tasks(crew: _Crew) -> Messages:
+    """Take all shots, those too that a person adds, and check for drift between them."""
+    course = crew.course
+    while True:
+        if course.stop.is_asked and (crew.console is not None or course.schedule.has_next):
+            yield from _pause(crew)
+        if course.is_check_due:
+            yield from _until_done(_check_task(crew), crew)
+        elif course.schedule.has_next:
+            yield from _until_done(_shot_task(course.schedule.begin_next(), crew), crew)
+        else:
+            return
 
 
 def _last_check(crew: _Crew) -> Messages:
@@ -254,128 +219,134 @@ def _last_check(crew: _Crew) -> Messages:
 
     Nobody waits for a second try, and whoever asks for a stop at once not even for the first.
     """
-    run = crew.run
-    if run.drift is None or run.stop.is_at_once or run.n_committed == run.n_at_last_check:
+    course = crew.course
+    if not course.has_unchecked_shots or course.stop.is_at_once:
         return
-    run.taker.begin_check(run.n_committed, 1)
+    course.taker.begin_check(course.schedule.n_commits, 1)
     with suppress(FailedStatus):
         yield from _check(crew)
 
 
 def _shot_task(shot: Shot, crew: _Crew) -> _Task:
+    def attempt_after(setbacks: Setbacks) -> Attempt:
+        return Attempt(shot, setbacks.attempt, dict(setbacks.n_failures))
+
     return _Task(
         name=f"shot {shot.shot_id}",
-        begin=lambda attempt: crew.run.taker.begin(shot, attempt),
-        attempt=lambda attempt: _shot(shot, attempt, crew),
+        begin=lambda setbacks: crew.course.begin(attempt_after(setbacks)),
+        attempt=lambda setbacks: _shot(attempt_after(setbacks), crew),
+        can_be_skipped=True,
     )
 
 
 def _check_task(crew: _Crew) -> _Task:
-    n_before = crew.run.n_committed
+    n_before = crew.course.schedule.n_commits
     return _Task(
         name=f"drift check after {n_before} shots",
-        begin=lambda attempt: crew.run.taker.begin_check(n_before, attempt),
-        attempt=lambda _attempt: _check(crew),
+        begin=lambda setbacks: crew.course.taker.begin_check(n_before, setbacks.attempt),
+        attempt=lambda _setbacks: _check(crew),
+        can_be_skipped=False,
     )
 
 
 def _until_done(task: _Task, crew: _Crew) -> Messages:
     """Do a task, and do about its errors what the policy says."""
-    setbacks = Setbacks()
+    course = crew.course
+    setbacks = Setbacks(task.name, course.taker.config)
     while True:
-        if crew.run.stop.is_asked:
-            raise RunStoppedError
-        task.begin(setbacks.attempt)
+        if course.stop.is_asked:
+            yield from _pause(crew, setbacks)
+        task.begin(setbacks)
         try:
-            if setbacks.lost is not None:
-                yield from _reconnect(setbacks.lost, crew)
-                setbacks.lost = None
-            yield from task.attempt(setbacks.attempt)
+            yield from _reconnect_lost(crew)
+            yield from task.attempt(setbacks)
         except FailedStatus as failure:
-            pause_s = _pause_after(failure.__cause__, task, setbacks, crew.run)
-            if pause_s is None:
-                raise
-            yield from _nap(pause_s, crew)
+            match course.react(setbacks, failure.__cause__):
+                case Again(pause_s) | Wait(pause_s):
+                    yield from _nap(pause_s, crew)
+                case GiveUp() if task.can_be_skipped and course.can_skip:
+                    course.skip(setbacks, failure.__cause__)
+                    return
+                case _:
+                    raise
         else:
-            if setbacks.suspensions:
-                crew.run.listener.on_resume(task.name)
+            course.tell_resumed(setbacks)
             return
 
 
-def _pause_after(
-    error: BaseException | None, task: _Task, setbacks: Setbacks, run: _Run
-) -> float | None:
-    """Note a setback, and say how long to pause before the next attempt; None: there is none."""
-    remedy = remedy_for(error)
-    if not isinstance(error, DeviceError) or remedy is Remedy.STOP:
-        return None
-    if run.taker.is_in_place:  # the robot moved, so the cell was safe since it last was not
-        setbacks.unsafe_since_s = None
-    if remedy is Remedy.WAIT:
-        return _pause_until_safe(error, task, setbacks, run)
-    return _pause_after_failure(error, task, setbacks, run)
+def _pause(crew: _Crew, setbacks: Setbacks | None = None) -> Messages:
+    """Ask a person how to go on.
+
+    Raises:
+        RunStoppedError: Nobody can be asked, or the person ends the run.
+    """
+    course, console = crew.course, crew.console
+    if console is None or course.stop.is_final or course.stop.is_at_once:
+        raise RunStoppedError
+    pause = course.pause(setbacks)
+    course.listener.on_pause(pause)
+    decisions: list[Decision] = []
+    ask = deed("question", crew.worker, lambda: decisions.append(console.ask(pause)))
+    while True:
+        yield from _trigger(ask)
+        decision = decisions.pop()
+        course.listener.on_decision(decision)
+        match decision:
+            case Note():
+                continue
+            case Abort():
+                raise RunStoppedError
+            case Retake(shot_ids):
+                course.retake(shot_ids)
+            case Resume():
+                course.accept_light(setbacks)
+        break
+    if not course.stop.withdraw():
+        raise RunStoppedError
+    course.renew_patience(setbacks)
 
 
-def _pause_until_safe(
-    error: DeviceError, task: _Task, setbacks: Setbacks, run: _Run
-) -> float | None:
-    now_s = run.taker.monotonic_s()
-    if setbacks.unsafe_since_s is None:
-        setbacks.unsafe_since_s = now_s
-        setbacks.suspensions += 1
-        run.listener.on_wait(task.name, error)
-    elif now_s - setbacks.unsafe_since_s > run.taker.config.suspend.timeout_s:
-        return None
-    return _SAFETY_LOOK_S
-
-
-def _pause_after_failure(
-    error: DeviceError, task: _Task, setbacks: Setbacks, run: _Run
-) -> float | None:
-    attempt = setbacks.attempt
-    setbacks.failures += 1
-    if setbacks.failures == MAX_ATTEMPTS:
-        return None
-    run.listener.on_retry(task.name, attempt, error)
-    if remedy_for(error) is Remedy.RECONNECT:
-        setbacks.lost = error.device
-    return PAUSES_S[setbacks.failures - 1]
-
-
-def _reconnect(device: str, crew: _Crew) -> Messages:
-    taker = crew.run.taker
-    yield from _trigger(deed(f"connect {device}", crew.run.worker, lambda: taker.reconnect(device)))
+def _reconnect_lost(crew: _Crew) -> Messages:
+    """Connect a device again that was lost in the attempt before."""
+    device, taker = crew.course.lost_device, crew.course.taker
+    if device is not None:
+        yield from _trigger(deed(f"connect {device}", crew.worker, lambda: taker.reconnect(device)))
+        crew.course.lost_device = None
 
 
 def _nap(duration_s: float, crew: _Crew) -> Messages:
-    yield from _trigger(deed("wait", crew.run.worker, lambda: crew.run.taker.sleep(duration_s)))
+    yield from _trigger(deed("wait", crew.worker, lambda: crew.course.nap(duration_s)))
 
 
-def _shot(shot: Shot, attempt: int, crew: _Crew) -> Messages:
-    yield from bps.checkpoint()
-    yield from _trigger(crew.guard)
-    yield from bps.abs_set(crew.mover, (shot, attempt), wait=True)
-    for step in crew.steps:
-        yield from _trigger(crew.guard)
-        yield from _trigger(step)
-    yield from bps.create(name="shots")
-    for step in crew.steps:
-        yield from bps.read(step)
-    yield from bps.save()
+# Messages are yielded as they are: the stubs of bluesky keep a stack trace of each.
+
+
+def _shot(attempt: Attempt, crew: _Crew) -> Messages:
+    yield Msg("checkpoint")
+    group = object()
+    yield Msg("set", crew.mover, attempt, group=group)
+    yield Msg("wait", None, group=group)
+    for measurement in crew.measurements:
+        yield from _trigger(measurement)
+    yield from _save("shots", crew.measurements)
 
 
 def _check(crew: _Crew) -> Messages:
-    yield from bps.checkpoint()
-    yield from _trigger(crew.guard)
+    yield Msg("checkpoint")
     yield from _trigger(crew.watch)
-    yield from bps.create(name="drift")
-    yield from bps.read(crew.watch)
-    yield from bps.save()
+    yield from _save("drift", (crew.watch,))
+
+
+def _save(stream: str, measurements: tuple[Measurement, ...]) -> Messages:
+    yield Msg("create", None, name=stream)
+    for measurement in measurements:
+        yield Msg("read", measurement)
+    yield Msg("save")
 
 
 def _trigger(step: Measurement) -> Messages:
     # A group of its own: a step that fails before it is waited for stays in its group, and would
     # fail the wait for another step.
     group = object()
-    yield from bps.trigger(step, group=group)
-    yield from bps.wait(group=group)
+    yield Msg("trigger", step, group=group)
+    yield Msg("wait", None, group=group)

@@ -18,12 +18,21 @@ from tronlab.campaign.live import Live, SilentLive
 from tronlab.campaign.recorded import recorded_database, recorded_heightmap
 from tronlab.campaign.reference import render_references
 from tronlab.campaign.shot import TruthSource
+from tronlab.dataset.drift import spans
 from tronlab.dataset.reader import Dataset
-from tronlab.dataset.records import DriftRecord, Provenance, Recomputation, ReferenceView, Truth
-from tronlab.dataset.rewriter import DatasetRewriter, sha256_of
+from tronlab.dataset.records import (
+    DriftRecord,
+    Provenance,
+    Recomputation,
+    ReferenceView,
+    Truth,
+)
+from tronlab.dataset.rewriter import DatasetRewriter, rewritten, sha256_of
 from tronlab.dataset.skeleton import utc_now
+from tronlab.dataset.summary import calibrated_utc
+from tronlab.dataset.transcript import OnStage
 from tronlab.devices.readings import DeviceIdentity
-from tronlab.errors import CalibrationError
+from tronlab.errors import CalibrationError, DatasetError
 from tronlab.geometry.poses import FloatArray
 from tronlab.geometry.uncertainty import pose_difference
 from tronlab.render.heightfield import HeightfieldRenderer
@@ -86,12 +95,13 @@ def recompute_truth(
     record.check_complete()
     acceptance = Acceptance(is_calibration_accepted, warn=live.announce)
     with Dataset(dataset_path) as dataset:
+        _check_dataset(dataset)
         _check_record(record, dataset, acceptance)
         provenance = _provenance(dataset, record, text, tuple(acceptance.accepted))
         heightmap = recorded_heightmap(dataset.provenance, rig_path, announce=live.announce)
         live.announce("renderer: preparing the terrain")
         renderer = HeightfieldRenderer(heightmap)
-        with DatasetRewriter(dataset_path, out) as rewriter:
+        with rewritten(dataset_path, out, on_stage=_stages(live)) as rewriter:
             source = TruthSource(record, heightmap, renderer)
             change = _rewrite_shots(dataset, rewriter, source, live)
             if dataset.n_references:
@@ -99,6 +109,36 @@ def recompute_truth(
             _rewrite_drift(dataset, rewriter, record, live)
             rewriter.write_provenance(provenance)
     return change
+
+
+def _stages(live: Live) -> OnStage:
+    return lambda stage, n_done, n_all: live.advance(stage, n_done=n_done, n_all=n_all)
+
+
+def _check_dataset(dataset: Dataset) -> None:
+    """Refuse a dataset whose truth cannot follow from one record.
+
+    Raises:
+        DatasetError: It was imported, or its sessions were calibrated differently.
+    """
+    if any(session.kind == "import" for session in dataset.sessions):
+        raise DatasetError(
+            f"{dataset.path}: was imported: there are no readings of a tracker to compute its truth"
+            " from"
+        )
+    sessions_of: dict[str, list[int]] = {}
+    for session in dataset.sessions:
+        sessions_of.setdefault(session.calibration_json, []).append(session.number)
+    if len(sessions_of) > 1:
+        listed = "; ".join(
+            f"sessions {spans(numbers)}: record of {calibrated_utc(text) or 'unknown date'}"
+            for text, numbers in sessions_of.items()
+        )
+        raise DatasetError(
+            f"{dataset.path}: its sessions have different calibration records, so that no single"
+            f" one can serve them all ({listed});\ntake the shots of all but one of these again"
+            " with one record (tronlab run --retake DIR --shots LIST), or keep truth as it is"
+        )
 
 
 def _check_record(record: CalibrationRecord, dataset: Dataset, acceptance: Acceptance) -> None:
@@ -142,6 +182,11 @@ def _rewrite_shots(
     live.advance("shots", n_done=0, n_all=dataset.n_shots)
     for i in range(dataset.n_shots):
         shot = dataset.shot(i)
+        if shot.tracker is None:
+            raise DatasetError(
+                f"{dataset.path}: shot {shot.shot_id} was imported: there is no tracker's reading"
+                " to compute its truth from"
+            )
         truth, mask = source.derive(shot.tracker)
         rewriter.write_truth(i, shot, truth, mask)
         before.append(shot.truth)

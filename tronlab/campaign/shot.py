@@ -1,26 +1,42 @@
 """One shot, step by step, with blocking devices; the engine decides when each step runs."""
 
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from types import MappingProxyType
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tronlab.calib.record import CalibrationRecord
-from tronlab.campaign.config import CampaignConfig, SettleConfig
+from tronlab.campaign.brightness import LightModel
+from tronlab.campaign.config import CampaignConfig
 from tronlab.campaign.drift import DriftWatch
-from tronlab.dataset.records import DriftRecord, ShotRecord, Truth
+from tronlab.campaign.gate import Evidence, Gate, Judgement
+from tronlab.campaign.settling import Motion, confirm_rest, wait_for_rest
+from tronlab.dataset.records import (
+    DriftRecord,
+    ErrorClass,
+    QualityFlag,
+    ShotRecord,
+    ShotTiming,
+    Truth,
+)
+from tronlab.devices.clock import Clock
 from tronlab.devices.readings import Frame, PoseReading, RobotReading, RoomReading
 from tronlab.devices.registry import Devices
-from tronlab.errors import DeviceError, NotSettledError, SafetyError
-from tronlab.geometry.poses import pose_from_xyz_quat, rotation_angle_rad, xyz_quat_from_pose
+from tronlab.errors import DeviceError, QualityError, SafetyError
+from tronlab.geometry.poses import pose_from_xyz_quat, xyz_quat_from_pose
 from tronlab.planning.shots import RangeFinder, Shot, range_los_m
 from tronlab.render.mask import model_mask
 from tronlab.terrain.heightmap import HeightMap
 
 T = TypeVar("T")
+
+_NO_FAILURES: Mapping[ErrorClass, int] = MappingProxyType({})
+_BREAK_S = 1.0
+"""Between two shots nothing is lost below this: the last one is written, the next one begun."""
 
 
 def as_stored(reading: PoseReading) -> PoseReading:
@@ -55,16 +71,27 @@ class TruthSource:
 
 @dataclass
 class _Readings:
-    """What has been read of the shot in hand."""
+    """What is known of the shot in hand."""
 
     shot: Shot
     attempt: int
+    n_failures: Mapping[ErrorClass, int]
+    lost_s: float
     is_in_place: bool = False
     """The robot has reached its target."""
+    settled: Motion | None = None
+    """Between the last two looks before the measurement."""
     tracker: PoseReading | None = None
     frame: Frame | None = None
+    confirmed: Motion | None = None
+    """During the exposure."""
     robot: RobotReading | None = None
     room: RoomReading | None = None
+    truth: Truth | None = None
+    mask: NDArray[np.bool_] | None = None
+    judgement: Judgement | None = None
+    durations_s: dict[str, float] = field(default_factory=dict[str, float])
+    """By step; a step that is done again counts again."""
 
 
 @dataclass
@@ -74,25 +101,58 @@ class ShotTaker:
     devices: Devices
     config: CampaignConfig
     truth_source: TruthSource
-    sleep: Callable[[float], None] = time.sleep
-    monotonic_s: Callable[[], float] = time.monotonic
     drift_watch: DriftWatch | None = None
     """Who measures the reflectors anew; None: nobody."""
+    light: LightModel | None = None
+    """Who predicts how bright the model is; None: the lamp is not watched."""
     warn: Callable[[str], None] = lambda text: None
     """Told of what is odd but no error."""
-    _now: _Readings | None = field(default=None, init=False)
-    _has_warned_of_air: bool = field(default=False, init=False)
+    session: int = 1
+    """Which session of the dataset the shots are taken in."""
+    gate: Gate = field(init=False)
     in_hand: str = field(default="no shot yet", init=False)
     """Which shot or drift check, and which attempt at it, for messages."""
+    _now: _Readings | None = field(default=None, init=False)
+    _done_s: float | None = field(default=None, init=False)
+    """When the last record was given, or else the run began; drift checks since are left out."""
+    _free_since_s: float = field(default=0.0, init=False)
+    """Likewise of the last shot before the one in hand: a record may be refused."""
+    _has_warned_of_air: bool = field(default=False, init=False)
+
+    def __post_init__(self) -> None:
+        self.gate = Gate(self.config.gate)
+
+    @property
+    def clock(self) -> Clock:
+        """Get the laboratory's clock: all waiting goes by it."""
+        return self.devices.clock
 
     @property
     def is_in_place(self) -> bool:
         """Get whether the robot has reached the target of the shot in hand."""
         return self._now is not None and self._now.is_in_place
 
-    def begin(self, shot: Shot, attempt: int) -> None:
-        """Forget the last shot: nothing of it can be paired with this one."""
-        self._now = _Readings(shot=shot, attempt=attempt)
+    @property
+    def objections(self) -> Mapping[QualityFlag, str]:
+        """Get what the gate holds against the shot in hand, by flag; empty before ``judge``."""
+        return self._now.judgement.objections if self._now and self._now.judgement else {}
+
+    def begin(
+        self, shot: Shot, attempt: int, *, n_failures: Mapping[ErrorClass, int] = _NO_FAILURES
+    ) -> None:
+        """Forget the last shot: nothing of it can be paired with this one.
+
+        Args:
+            shot: The shot to take.
+            attempt: From 1.
+            n_failures: Attempts at it that came to nothing, by why.
+        """
+        self._now = _Readings(
+            shot=shot,
+            attempt=attempt,
+            n_failures=dict(n_failures),
+            lost_s=self._lost_s(is_first=attempt == 1),
+        )
         self.in_hand = f"shot {shot.shot_id}, attempt {attempt}"
 
     def begin_check(self, n_shots_before: int, attempt: int) -> None:
@@ -102,7 +162,13 @@ class ShotTaker:
 
     def check_drift(self, n_shots_before: int) -> DriftRecord:
         """Measure the reflectors, against where the calibration record has them."""
-        return _taken(self.drift_watch, "drift watch").check(n_shots_before)
+        begin_s = self.clock.monotonic_s
+        record = _taken(self.drift_watch, "drift watch").check(n_shots_before)
+        duration_s = self.clock.monotonic_s - begin_s
+        self._free_since_s += duration_s
+        if self._done_s is not None:
+            self._done_s += duration_s
+        return record
 
     def check_room(self) -> None:
         """Look whether the room lets a shot be taken.
@@ -135,7 +201,8 @@ class ShotTaker:
     def move(self) -> None:
         """Drive the robot to the target; it stands still when this returns."""
         now = self._begun()
-        self.devices.robot.move(now.shot.robot_target, timeout_s=self.config.robot.timeout_s)
+        with self._timed("move_s"):
+            self.devices.robot.move(now.shot.robot_target, timeout_s=self.config.robot.timeout_s)
         now.is_in_place = True
 
     def settle(self) -> dict[str, float]:
@@ -144,30 +211,24 @@ class ShotTaker:
         Raises:
             NotSettledError: They did not within ``settle.timeout_s``.
         """
-        settle = self.config.settle
-        give_up_s = self.monotonic_s() + settle.timeout_s
-        last = self.devices.tracker.measure_pose(window_s=settle.window_s)
-        while True:
-            self.sleep(settle.wait_s)
-            look = self.devices.tracker.measure_pose(window_s=settle.window_s)
-            shift_m, turn_rad = _moved(last, look)
-            if _is_still(shift_m, turn_rad, settle):
-                return {"shift_m": shift_m, "turn_rad": turn_rad}
-            if self.monotonic_s() > give_up_s:
-                raise self._not_settled(shift_m, turn_rad, f"after {settle.timeout_s:g} s")
-            last = look
+        now = self._begun()
+        with self._timed("settle_s"):
+            now.settled = wait_for_rest(self.devices.tracker, self.config.settle, self.clock)
+        return {"shift_m": now.settled.shift_m, "turn_rad": now.settled.turn_rad}
 
     def measure(self) -> dict[str, float]:
         """Measure the T-MAC: the raw reading the ground truth follows from."""
         now = self._begun()
-        now.tracker = self.devices.tracker.measure_pose(window_s=self.config.tracker.window_s)
+        with self._timed("tracker_s"):
+            now.tracker = self.devices.tracker.measure_pose(window_s=self.config.tracker.window_s)
         x_m, y_m, z_m = (float(v) for v in now.tracker.trk_from_tmac.translation)
         return {"tmac_trk_x_m": x_m, "tmac_trk_y_m": y_m, "tmac_trk_z_m": z_m}
 
     def grab(self) -> dict[str, float]:
         """Take the image."""
         now = self._begun()
-        now.frame = self.devices.camera.grab(timeout_s=self.config.camera.timeout_s)
+        with self._timed("camera_s"):
+            now.frame = self.devices.camera.grab(timeout_s=self.config.camera.timeout_s)
         expected = self.truth_source.calibration.camera.shape
         if now.frame.image.shape != expected:
             raise DeviceError(
@@ -182,12 +243,15 @@ class ShotTaker:
         Raises:
             NotSettledError: The T-MAC is no longer where it was measured before the exposure.
         """
-        settle = self.config.settle
-        look = self.devices.tracker.measure_pose(window_s=settle.window_s)
-        shift_m, turn_rad = _moved(_taken(self._begun().tracker, "tracker"), look)
-        if not _is_still(shift_m, turn_rad, settle):
-            raise self._not_settled(shift_m, turn_rad, "during the exposure")
-        return {"exposure_shift_m": shift_m, "exposure_turn_rad": turn_rad}
+        now = self._begun()
+        with self._timed("confirm_s"):
+            now.confirmed = confirm_rest(
+                _taken(now.tracker, "tracker"), self.devices.tracker, self.config.settle
+            )
+        return {
+            "exposure_shift_m": now.confirmed.shift_m,
+            "exposure_turn_rad": now.confirmed.turn_rad,
+        }
 
     def read(self) -> dict[str, float]:
         """Read robot and room.
@@ -196,28 +260,84 @@ class ShotTaker:
             SafetyError: The door is open: light, and maybe a person, came in.
         """
         now = self._begun()
-        now.robot = self.devices.robot.read()
-        now.room = self.devices.room.read()
+        with self._timed("read_s"):
+            now.robot = self.devices.robot.read()
+            now.room = self.devices.room.read()
         self._refuse_open_door(now.room)
         self._compare_air(_taken(now.tracker, "tracker"), now.room)
         return {"rail_m": now.robot.rail_m, "air_temperature_k": now.room.air_temperature_k}
 
-    def assemble(self) -> ShotRecord:
-        """Give the record of the shot: all of it read since ``begin``."""
+    def judge(self) -> dict[str, float]:
+        """Derive the truth, and see whether the shot is good enough.
+
+        Raises:
+            QualityError: It is not, and the gate wants it taken again.
+        """
         now = self._begun()
-        tracker = _taken(now.tracker, "tracker")
-        truth, mask = self.truth_source.derive(as_stored(tracker))
-        return ShotRecord(
+        now.truth, now.mask = self.truth_source.derive(as_stored(_taken(now.tracker, "tracker")))
+        now.judgement = self.gate.judge(self._evidence(now, truth=now.truth, mask=now.mask))
+        retakes_left = self.config.gate.max_retakes - now.n_failures.get("quality", 0)
+        if now.judgement.wants_retake and retakes_left > 0:
+            raise QualityError(now.judgement.text, device=self.devices.camera.name)
+        return {"n_flags": len(now.judgement.quality.flags)}
+
+    def assemble(self) -> ShotRecord:
+        """Give the record of the shot, all of it read since ``begin``: with this it is done."""
+        now = self._begun()
+        judgement = _taken(now.judgement, "judgement")
+        record = ShotRecord(
             shot_id=now.shot.shot_id,
             attempt=now.attempt,
             trs_from_cam_nominal=now.shot.trs_from_cam_nominal,
             robot=_taken(now.robot, "robot"),
-            tracker=tracker,
+            tracker=_taken(now.tracker, "tracker"),
             room=_taken(now.room, "room"),
+            frame=_taken(now.frame, "frame"),
+            mask=_taken(now.mask, "mask"),
+            truth=_taken(now.truth, "truth"),
+            quality=judgement.quality,
+            timing=ShotTiming(lost_s=now.lost_s, **now.durations_s),
+            n_failures=now.n_failures,
+            session=self.session,
+        )
+        self.gate.accept(judgement)
+        self._done_s = self.clock.monotonic_s
+        return record
+
+    def _evidence(self, now: _Readings, *, truth: Truth, mask: NDArray[np.bool_]) -> Evidence:
+        return Evidence(
             frame=_taken(now.frame, "frame"),
             mask=mask,
             truth=truth,
+            trs_from_cam_nominal=now.shot.trs_from_cam_nominal,
+            tracker=_taken(now.tracker, "tracker"),
+            room=_taken(now.room, "room"),
+            settled=_taken(now.settled, "settled pose"),
+            confirmed=_taken(now.confirmed, "confirmation"),
+            predicted_radiance=self._predicted_radiance(truth),
         )
+
+    def _predicted_radiance(self, truth: Truth) -> float | None:
+        if self.light is None or self.config.gate.brightness == "off":
+            return None
+        return self.light.mean_radiance(truth.trs_from_cam)
+
+    @contextmanager
+    def _timed(self, part: str) -> Generator[None]:
+        """Note how long a part of the shot in hand takes."""
+        durations_s, begin_s = self._begun().durations_s, self.clock.monotonic_s
+        yield
+        durations_s[part] = durations_s.get(part, 0.0) + self.clock.monotonic_s - begin_s
+
+    def _lost_s(self, *, is_first: bool) -> float:
+        """Give the time since the last shot, or the begin of the run, if something went wrong."""
+        now_s = self.clock.monotonic_s
+        if self._done_s is None:
+            self._done_s = self._free_since_s = now_s
+        if is_first:
+            self._free_since_s = self._done_s
+        since_s = now_s - self._free_since_s
+        return 0.0 if is_first and since_s < _BREAK_S else since_s
 
     def _refuse_open_door(self, room: RoomReading) -> None:
         if self.config.room.needs_closed_door and not room.is_door_closed:
@@ -243,27 +363,9 @@ class ShotTaker:
     def _begun(self) -> _Readings:
         return _taken(self._now, "shot")
 
-    def _not_settled(self, shift_m: float, turn_rad: float, when: str) -> NotSettledError:
-        settle = self.config.settle
-        return NotSettledError(
-            f"the T-MAC still moves {when}: {shift_m * 1e3:.3f} mm and {np.degrees(turn_rad):.4f}"
-            f" deg between two looks (settle allows {settle.max_shift_m * 1e3:g} mm and"
-            f" {settle.max_turn_deg:g} deg)",
-            device=self.devices.tracker.name,
-        )
-
 
 def _taken(value: T | None, what: str) -> T:
     """Give what an earlier step must have left; steps out of order are a programming mistake."""
     if value is None:
         raise RuntimeError(f"no {what} yet: the steps of a shot run in the wrong order")
     return value
-
-
-def _moved(a: PoseReading, b: PoseReading) -> tuple[float, float]:
-    shift_m = np.linalg.norm(b.trk_from_tmac.translation - a.trk_from_tmac.translation)
-    return float(shift_m), rotation_angle_rad(a.trk_from_tmac, b.trk_from_tmac)
-
-
-def _is_still(shift_m: float, turn_rad: float, settle: SettleConfig) -> bool:
-    return shift_m <= settle.max_shift_m and turn_rad <= np.radians(settle.max_turn_deg)

@@ -4,14 +4,20 @@ bluesky asks its devices for methods such as ``trigger`` and ``read`` and needs 
 that nothing here imports it.
 """
 
+import queue
 import threading
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
+from types import TracebackType
 from typing import Any, TypeAlias
 
+from tronlab.campaign.brake import Brake
 from tronlab.campaign.shot import ShotTaker
 from tronlab.campaign.stop import RunStoppedError, StopRequest
+from tronlab.dataset.records import ErrorClass
+from tronlab.errors import DeviceError
 from tronlab.planning.shots import Shot
 
 _PATIENCE_S = 5.0
@@ -75,32 +81,47 @@ class Worker:
     def __init__(self, stop: StopRequest) -> None:
         self._stop = stop
         self._pending: Status | None = None
-        self._thread: threading.Thread | None = None
+        self._steps: queue.SimpleQueue[tuple[Status, Callable[[], object]] | None] = (
+            queue.SimpleQueue()
+        )
+        self._thread = threading.Thread(target=self._work, name="tronlab worker", daemon=True)
         stop.on_at_once(self._fail_pending)
+
+    def __enter__(self) -> "Worker":
+        """Begin to work."""
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        """Let a step that was not waited for come to its end, before its device is closed."""
+        self._steps.put(None)
+        self._thread.join(timeout=_PATIENCE_S)
 
     def start(self, what: str, work: Callable[[], object]) -> Status:
         """Start a step; its Status is done when the step is, or when the run must stop at once."""
         status = Status(what)
+        self._pending = status
+        self._steps.put((status, work))
+        if self._stop.is_at_once:  # asked for while the step was being started
+            self._fail_pending()
+        return status
 
-        def run() -> None:
+    def _work(self) -> None:
+        while (step := self._steps.get()) is not None:
+            status, work = step
             try:
+                if self._stop.is_at_once:  # the robot was stopped: nothing may move it again
+                    raise RunStoppedError
                 work()
             except BaseException as error:  # the Status carries it to the engine
                 status.finish(error)
             else:
                 status.finish()
-
-        self._pending = status
-        self._thread = threading.Thread(target=run, name=f"tronlab {what}", daemon=True)
-        self._thread.start()
-        if self._stop.is_at_once:  # asked for while the step was being started
-            self._fail_pending()
-        return status
-
-    def join(self) -> None:
-        """Let a step that was not waited for come to its end, before its device is closed."""
-        if self._thread is not None:
-            self._thread.join(timeout=_PATIENCE_S)
 
     def _fail_pending(self) -> None:
         """Wait no longer for the step in hand."""
@@ -108,34 +129,62 @@ class Worker:
             self._pending.finish(RunStoppedError())
 
 
-@dataclass(eq=False)  # bluesky keeps its devices in sets
+@dataclass(frozen=True, slots=True)
+class Attempt:
+    """One attempt at a shot."""
+
+    shot: Shot
+    number: int
+    """From 1."""
+    n_failures: Mapping[ErrorClass, int]
+    """Attempts before it that came to nothing."""
+
+    def __repr__(self) -> str:
+        """Say which: bluesky writes its messages down, and a shot has long matrices."""
+        return f"shot {self.shot.shot_id}, attempt {self.number}"
+
+
+# bluesky keeps its devices in sets, and writes down what they are at every message.
+@dataclass(eq=False, repr=False)
 class Mover:
     """The robot: ``set`` begins a shot and drives to its target."""
 
     worker: Worker
     taker: ShotTaker
+    brake: Brake
+    check: Callable[[], None]
+    """Raises if nothing may move."""
     name: str = "robot"
     parent: None = None
     _is_moving: bool = False
 
-    def set(self, shot_and_attempt: tuple[Shot, int]) -> Status:
+    def set(self, attempt: Attempt) -> Status:
         """Begin the shot and move; begun here so that a replay of messages begins it again."""
-        shot, attempt = shot_and_attempt
-        self.taker.begin(shot, attempt)
-        self._is_moving = True
+        shot = attempt.shot
+        self.taker.begin(shot, attempt.number, n_failures=attempt.n_failures)
         return self.worker.start(f"move to shot {shot.shot_id}", self._move)
 
     def stop(self, *, success: bool = True) -> None:
         """Stop the robot, if it moves: bluesky calls this at the end of every run."""
         if self._is_moving:
-            self.taker.devices.robot.stop()
+            self.brake.pull()
 
     def _move(self) -> None:
-        self.taker.move()
+        self.check()
+        self._is_moving = True
+        try:
+            self.taker.move()
+        except Exception:
+            # Before anything else: also after an emergency stop, whose release must not let a
+            # motion go on that the run no longer waits for.
+            with suppress(DeviceError):
+                self.taker.devices.robot.stop()
+                self._is_moving = False
+            raise
         self._is_moving = False
 
 
-@dataclass(eq=False)  # bluesky keeps its devices in sets
+@dataclass(eq=False, repr=False)
 class Measurement:
     """A step that may leave numbers."""
 

@@ -1,4 +1,4 @@
-"""How a person, or another thread, asks a run to stop."""
+"""How a person, or another thread, asks a run to pause or to stop."""
 
 import signal
 import threading
@@ -11,51 +11,81 @@ class RunStoppedError(Exception):
 
 
 class StopRequest:
-    """Asked once: stop after the shot in hand. Asked again: stop at once."""
+    """Asked once: stop, or pause, after the shot in hand. Asked again: stop at once."""
 
     def __init__(self) -> None:
         self._n_asked = 0
+        self._is_final = False
         self._callbacks: list[Callable[[], None]] = []
+        # A signal may come while another one is handled, in the same thread.
+        self._lock = threading.RLock()
 
     @property
     def is_asked(self) -> bool:
-        """Get whether the run shall stop."""
+        """Get whether the run shall pause or stop."""
         return self._n_asked > 0
+
+    @property
+    def is_final(self) -> bool:
+        """Get whether nobody is there to be asked how to go on: the run shall stop."""
+        return self._is_final
 
     @property
     def is_at_once(self) -> bool:
         """Get whether the run shall stop without finishing its shot."""
         return self._n_asked > 1
 
-    def ask(self) -> None:
-        """Ask the run to stop; may be called from a signal handler."""
-        self._n_asked += 1
-        if self.is_at_once:
+    def ask(self, *, is_final: bool = False) -> None:
+        """Ask the run to pause or stop; may be called from a signal handler."""
+        with self._lock:
+            self._n_asked += 1
+            self._is_final |= is_final
+            is_second = self._n_asked == 2
+        if is_second:
             for callback in self._callbacks:
                 callback()
 
+    def withdraw(self) -> bool:
+        """Forget that it was asked once: a person says that the run goes on.
+
+        Returns:
+            Whether it may: not if it was asked to stop in the meantime.
+        """
+        with self._lock:
+            if self.is_at_once or self._is_final:
+                return False
+            self._n_asked = 0
+            return True
+
     def on_at_once(self, callback: Callable[[], None]) -> None:
-        """Have ``callback`` called when the run must stop at once."""
+        """Have ``callback`` called when the run must stop at once, in the order they came."""
         self._callbacks.append(callback)
 
 
 @contextmanager
-def stopped_by_ctrl_c(stop: StopRequest, *, announce: Callable[[str], None]) -> Generator[None]:
+def stopped_by_ctrl_c(
+    stop: StopRequest, *, announce: Callable[[str], None], can_pause: bool = False
+) -> Generator[None]:
     """Let Ctrl-C, and SIGTERM of a batch system, ask a run to stop.
 
     Outside the main thread, which gets no signals, it does nothing.
+
+    Args:
+        stop: Is asked; by SIGTERM for good.
+        announce: Told what happens now.
+        can_pause: Whether a person is asked how to go on after the first Ctrl-C.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
         return
 
-    def ask(_signal: int, _frame: object) -> None:
-        stop.ask()
-        announce(
-            "stopping at once"
-            if stop.is_at_once
-            else "stopping after this shot; Ctrl-C again stops at once"
-        )
+    def ask(kind: int, _frame: object) -> None:
+        stop.ask(is_final=kind == signal.SIGTERM)
+        if stop.is_at_once:
+            announce("stopping at once, the robot first")
+            return
+        word = "pausing" if can_pause and not stop.is_final else "stopping"
+        announce(f"{word} after this shot; Ctrl-C again stops at once")
 
     before = {kind: signal.signal(kind, ask) for kind in (signal.SIGINT, signal.SIGTERM)}
     try:

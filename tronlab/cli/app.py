@@ -14,6 +14,7 @@ from tronlab.cli.calibrate import calibrate
 from tronlab.cli.dataset import dataset
 from tronlab.cli.demo import demo
 from tronlab.cli.exit_codes import INTERRUPTED, USER_ERROR
+from tronlab.cli.plan import plan
 from tronlab.cli.report import report
 from tronlab.cli.rig import rig
 from tronlab.cli.run import run
@@ -26,9 +27,9 @@ app = typer.Typer(
     add_completion=False,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
-    help="Test campaigns for optical navigation: run, score and report.",
+    help="Test campaigns for optical navigation: plan, run, score and report.",
 )
-for command in (demo, run, score, report, budget):
+for command in (demo, plan, run, score, report, budget):
     app.command()(command)
 app.add_typer(calibrate, name="calibrate")
 app.add_typer(dataset, name="dataset")

@@ -1,184 +1,99 @@
-"""``tronlab dataset``: what is in a recorded dataset, and whether it holds together."""
+"""``tronlab dataset``: look into a recorded dataset, check it, keep it, exchange it."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-if TYPE_CHECKING:
-    from tronlab.dataset.reader import Dataset
-    from tronlab.geometry.poses import FloatArray
+from tronlab.cli.dataset_exchange import export, import_app
+from tronlab.cli.dataset_files import migrate, pack, recompute_truth
+from tronlab.cli.dataset_info import info
 
 EXIT_FINDINGS = 1
 
 dataset = typer.Typer(
-    no_args_is_help=True, rich_markup_mode=None, help="Look into a recorded dataset, or check it."
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    help="Look into a recorded dataset, check it, keep it, exchange it.",
 )
+for _command in (info, pack, migrate, recompute_truth, export):
+    dataset.command()(_command)
+dataset.add_typer(import_app, name="import")
 
 _PathArgument = Annotated[
-    Path, typer.Argument(metavar="DATASET.h5", help="The recorded dataset.", show_default=False)
+    Path,
+    typer.Argument(metavar="DATASET", help="The .h5 file, or its folder.", show_default=False),
 ]
 
 
 @dataset.command()
-def info(path: _PathArgument) -> None:
-    """Show what a dataset holds."""
-    import sys
-
-    from tronlab.dataset.reader import Dataset
-
-    with Dataset(path) as opened:
-        rows = _facts(opened)
-    if sys.stdout.isatty():
-        _print_table(rows)
-    else:
-        width = max(len(name) for name in rows)
-        for name, value in rows.items():
-            typer.echo(f"{name:<{width}}  {value}".rstrip())
-
-
-@dataset.command()
-def validate(path: _PathArgument) -> None:
-    """Check a dataset; exit code 1 if something is wrong with it."""
-    from tronlab.dataset.validate import validate as findings_of
-
-    findings = findings_of(path)
-    for finding in findings:
-        typer.echo(finding)
-    if findings:
-        raise typer.Exit(EXIT_FINDINGS)
-    typer.echo("valid")
-
-
-@dataset.command()
-def recompute_truth(
+def validate(
     path: _PathArgument,
     *,
-    calibration: Annotated[
-        Path, typer.Option(metavar="RECORD.json", help="The calibration record to compute it with.")
-    ],
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="NEW.h5", help="The new file (default: beside it, NAME.recomputed.h5)."
-        ),
-    ] = None,
-    rig: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="RIG.yaml", help="Rig file, needed only where the terrain is a file it names."
-        ),
-    ] = None,
-    accept_calibration: Annotated[
+    strict: Annotated[
         bool,
         typer.Option(
-            "--accept-calibration",
-            help="Use a record of another rig or other devices, or one that had expired when the"
-            " dataset was recorded; the new dataset says so.",
+            "--strict", help="Let notes fail too: shots missing, flagged or not vouched for."
         ),
     ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Compute the ground truth again with another calibration record, into a new file."""
+    """Check a dataset from its counter to the last pixel.
+
+    Exit code 0: sound, though perhaps incomplete, which notes say; 1: damaged or contradicting
+    itself, or with --strict worth a note; 2: cannot be opened.
+    """
+    import json
     import sys
+    from dataclasses import asdict
 
     from tronlab.campaign.live import open_live
-    from tronlab.campaign.recompute import recompute_truth as recompute
+    from tronlab.dataset.location import dataset_in
+    from tronlab.dataset.validate import examine
 
-    target = out or path.with_name(f"{path.stem}.recomputed.h5")
     with open_live(sys.stderr) as live:
-        change = recompute(
-            path,
-            calibration,
-            out=target,
-            rig_path=rig,
-            is_calibration_accepted=accept_calibration,
-            live=live,
+        found = examine(
+            dataset_in(path),
+            on_shot=lambda n_done, n_all: live.advance("shots", n_done=n_done, n_all=n_all),
         )
-    typer.echo(change)
-    typer.echo(target)
+    is_passed = not (found.findings or (strict and found.notes))
+    if as_json:
+        typer.echo(json.dumps({"is_valid": not found.findings, **asdict(found)}, indent=2))
+    else:
+        for finding in found.findings:
+            typer.echo(finding)
+        for note in found.notes:
+            typer.echo(f"note: {note}")
+        if not found.findings:
+            typer.echo("valid")
+    if not is_passed:
+        raise typer.Exit(EXIT_FINDINGS)
 
 
-def _print_table(rows: dict[str, str]) -> None:
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
+@dataset.command()
+def note(
+    path: _PathArgument,
+    text: Annotated[
+        str,
+        typer.Argument(
+            metavar="TEXT",
+            help="What happened; - reads it from standard input.",
+            show_default=False,
+        ),
+    ],
+    *,
+    author: Annotated[
+        str, typer.Option(metavar="NAME", help="Who says so.  [default: the user's name]")
+    ] = "",
+) -> None:
+    """Write a note into the journal of a dataset, also while a run records it."""
+    import getpass
+    import sys
 
-    table = Table.grid(padding=(0, 2))
-    for name, value in rows.items():
-        table.add_row(Text(name, style="bold"), Text(value))
-    Console().print(table)
+    from tronlab.dataset.journal import Journal
+    from tronlab.dataset.location import dataset_to_note_in
 
-
-def _facts(opened: "Dataset") -> dict[str, str]:
-    from tronlab.dataset.schema import TRUTH
-
-    provenance = opened.provenance
-    return {
-        "file": str(opened.path),
-        "size": f"{opened.path.stat().st_size / 1e6:.1f} MB",
-        "layout": opened.schema_version,
-        "campaign": provenance.campaign_name,
-        "rig": provenance.rig_name,
-        "seed": str(provenance.seed),
-        "status": f"{opened.status}: {opened.reason}" if opened.reason else opened.status,
-        "started": opened.start_time,
-        "duration": _duration(opened.start_time, opened.end_time),
-        "shots": f"{opened.n_shots} of {provenance.n_shots_planned} planned",
-        "reference views": str(opened.n_references),
-        "images": _images(opened),
-        "range to terrain": _span(opened.rows(f"{TRUTH}/range_los_m"), "m"),
-        "usable fraction": _span(opened.rows(f"{TRUTH}/usable_fraction"), ""),
-        "calibrated": _calibrated(provenance.calibration_json),
-        **_trust(opened),
-        **{f"device {name}": text for name, text in sorted(provenance.devices.items())},
-        **{f"version {name}": text for name, text in sorted(provenance.software.items())},
-    }
-
-
-def _trust(opened: "Dataset") -> dict[str, str]:
-    """Give what is known about whether truth can be trusted."""
-    from collections import Counter
-
-    counts = Counter(opened.truth_states)
-    facts = {"truth of the shots": ", ".join(f"{n} {state}" for state, n in counts.items()) or "-"}
-    if opened.drift_checks:
-        largest = max(opened.drift_checks, key=lambda check: check.max_shift_m)
-        facts["drift checks"] = (
-            f"{len(opened.drift_checks)}, at most {largest.max_shift_m * 1e3:.3f} mm"
-            f" (limit {largest.limit_m * 1e3:g} mm)"
-        )
-    if opened.provenance.accepted:
-        facts["accepted"] = "; ".join(opened.provenance.accepted)
-    if (recomputation := opened.provenance.recomputation) is not None:
-        facts["truth recomputed"] = f"{recomputation.time_utc} from {recomputation.dataset_name}"
-    return facts
-
-
-def _images(opened: "Dataset") -> str:
-    columns, rows = opened.camera.width_px, opened.camera.height_px
-    return f"{columns} x {rows}, {opened.image_dtype or 'none yet'}"
-
-
-def _span(values: "FloatArray", unit: str) -> str:
-    return f"{values.min():.3f} to {values.max():.3f} {unit}".rstrip() if values.size else "-"
-
-
-def _duration(start: str, end: str) -> str:
-    from datetime import datetime
-
-    if not end:
-        return "-"
-    seconds = (datetime.fromisoformat(end) - datetime.fromisoformat(start)).total_seconds()
-    minutes, seconds = divmod(seconds, 60)
-    return f"{minutes:.0f} min {seconds:.1f} s" if minutes else f"{seconds:.1f} s"
-
-
-def _calibrated(calibration_json: str) -> str:
-    """Give when the calibration was made, as far as the record says."""
-    import json
-
-    try:
-        record = json.loads(calibration_json)
-    except json.JSONDecodeError:
-        return "-"
-    return str(record.get("created_utc", "-")) if isinstance(record, dict) else "-"
+    words = (sys.stdin.read() if text == "-" else text).strip()
+    if not words:
+        raise typer.BadParameter("is empty", param_hint="TEXT")
+    Journal(dataset_to_note_in(path)).write("note", words, author=author or getpass.getuser())

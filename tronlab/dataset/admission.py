@@ -28,8 +28,8 @@ def check_provenance(path: Path, provenance: Provenance) -> None:
         raise DatasetError(f"{path}: seed {provenance.seed} does not fit a 64-bit integer")
 
 
-def check_view(path: Path, provenance: Provenance, view: ReferenceView) -> None:
-    """Check that a reference view fits the camera.
+def check_view(path: Path, shape: tuple[int, int], view: ReferenceView) -> None:
+    """Check that a reference view fits images of that shape.
 
     Raises:
         DatasetError: Image, depth or mask of another shape or type, or a pose that is not finite.
@@ -37,19 +37,19 @@ def check_view(path: Path, provenance: Provenance, view: ReferenceView) -> None:
     where = f"{path}: reference view {view.view_id}"
     expected = {"image": (view.image, "uint8"), "depth_m": (view.depth_m, "float32")}
     for name, (array, dtype) in {**expected, "mask": (view.mask, "bool")}.items():
-        _check_array(f"{where}: {name}", array, provenance.camera.shape, (dtype,))
+        _check_array(f"{where}: {name}", array, shape, (dtype,))
     if not np.isfinite(view.trs_from_cam.as_matrix()).all():
         raise DatasetError(f"{where}: trs_from_cam is not finite")
 
 
 def check_images(
-    path: Path, provenance: Provenance, shot: ShotRecord, recorded_dtype: np.dtype[Any] | None
+    path: Path, shape: tuple[int, int], shot: ShotRecord, recorded_dtype: np.dtype[Any] | None
 ) -> None:
     """Check image and mask of a shot.
 
     Args:
         path: The dataset, for the message.
-        provenance: Names the camera.
+        shape: Of the camera's images.
         shot: The shot.
         recorded_dtype: Type of the images already committed; None for the first shot.
 
@@ -58,8 +58,8 @@ def check_images(
     """
     where = f"{path}: shot {shot.shot_id}"
     types = ("uint8", "uint16") if recorded_dtype is None else (recorded_dtype.name,)
-    _check_array(f"{where}: image", shot.frame.image, provenance.camera.shape, types)
-    _check_array(f"{where}: mask", shot.mask, provenance.camera.shape, ("bool",))
+    _check_array(f"{where}: image", shot.frame.image, shape, types)
+    _check_array(f"{where}: mask", shot.mask, shape, ("bool",))
 
 
 def values_of(path: Path, shot: ShotRecord) -> Values:
@@ -69,8 +69,15 @@ def values_of(path: Path, shot: ShotRecord) -> Values:
         DatasetError: A value is not finite, has another shape, or does not fit its type.
     """
     where = f"{path}: shot {shot.shot_id}"
+    is_imported = shot.tracker is None
     return {
-        column.path: _fitting(where, column, column.value_of(shot), column.shape)
+        column.path: _fitting(
+            where,
+            column,
+            column.value_of(shot),
+            column.shape,
+            may_be_unknown=column.is_optional or (is_imported and column.is_of_laboratory),
+        )
         for column in schema.COLUMNS
     }
 
@@ -93,14 +100,23 @@ def drift_values_of(path: Path, check: DriftRecord, reflectors: Sequence[str]) -
         )
     return {
         column.path: _fitting(
-            where, column, column.value_of(check), column.row_shape(len(reflectors))
+            where,
+            column,
+            column.value_of(check),
+            column.row_shape(len(reflectors)),
+            may_be_unknown=column.is_optional,
         )
         for column in schema.DRIFT_COLUMNS
     }
 
 
 def _fitting(
-    where: str, column: schema.Column, given: ArrayLike, shape: tuple[int, ...]
+    where: str,
+    column: schema.Column,
+    given: ArrayLike,
+    shape: tuple[int, ...],
+    *,
+    may_be_unknown: bool,
 ) -> NDArray[Any]:
     where = f"{where}: {column.path.removeprefix('entry/')}"
     try:
@@ -109,16 +125,16 @@ def _fitting(
         raise DatasetError(f"{where}: {given!r}: {error}") from error
     if value.shape != shape:
         raise DatasetError(f"{where}: shape is {value.shape}, expected {shape}")
-    if value.dtype.kind == "f" and not _is_known(value, is_optional=column.is_optional):
+    if value.dtype.kind == "f" and not _is_known(value, may_be_unknown=may_be_unknown):
         raise DatasetError(f"{where}: is not finite: {value.tolist()}")
     if value.dtype.kind == "S" and value.item() != given:
         raise DatasetError(f"{where}: {given!r} is longer than {schema.PIXEL_FORMAT_BYTES} bytes")
     return value
 
 
-def _is_known(value: NDArray[Any], *, is_optional: bool) -> bool:
-    """Tell whether all numbers are finite; NaN stands for an optional one that is not known."""
-    return bool(np.all(np.isfinite(value) | (is_optional & np.isnan(value))))
+def _is_known(value: NDArray[Any], *, may_be_unknown: bool) -> bool:
+    """Tell whether all numbers are finite; NaN stands for one that may be unknown."""
+    return bool(np.all(np.isfinite(value) | (may_be_unknown & np.isnan(value))))
 
 
 def _check_array(

@@ -1,6 +1,7 @@
 """Drift checks of a dataset, and what they say of its shots."""
 
-from collections.abc import Mapping, Sequence
+from bisect import bisect_right
+from collections.abc import Hashable, Mapping, Sequence
 from typing import Any
 
 from numpy.typing import NDArray
@@ -16,26 +17,39 @@ _REASONS: Mapping[schema.TruthState, str] = {
 }
 
 
-def truth_states(n_shots: int, checks: Sequence[DriftRecord]) -> tuple[schema.TruthState, ...]:
-    """Tell for each shot, in the order they were committed, what the drift checks say of its truth.
+def truth_states(
+    rows: Sequence[int],
+    sessions: Sequence[int],
+    checks: Sequence[DriftRecord],
+    frames: Mapping[int, Hashable],
+) -> tuple[schema.TruthState, ...]:
+    """Tell for each shot what the drift checks say of its truth.
 
     A shot between two good checks is good. Beside a bad one it is suspect: nobody knows when it
     was that something moved. A shot without a check on either side is unchecked.
+
+    Args:
+        rows: Of the shots: how many rows came before each.
+        sessions: Which session took each shot.
+        checks: In their order.
+        frames: What truth follows from, by session. Checks against one calibration record say
+            nothing of the shots of another one.
     """
-    return tuple(_state(_beside(i, checks)) for i in range(n_shots))
+    checks_of: dict[Hashable, list[DriftRecord]] = {}
+    for check in checks:
+        checks_of.setdefault(frames[check.session], []).append(check)
+    states: list[schema.TruthState] = []
+    for row, session in zip(rows, sessions, strict=True):
+        beside = checks_of.get(frames[session], [])
+        k = bisect_right(beside, row, key=lambda check: check.n_shots_before)
+        states.append(_state(beside[k - 1] if k else None, beside[k] if k < len(beside) else None))
+    return tuple(states)
 
 
-def _beside(i: int, checks: Sequence[DriftRecord]) -> tuple[DriftRecord | None, DriftRecord | None]:
-    """Give the last check before the shot of row ``i``, and the first one after it."""
-    before = [check for check in checks if check.n_shots_before <= i]
-    after = [check for check in checks if check.n_shots_before > i]
-    return (before[-1] if before else None), (after[0] if after else None)
-
-
-def _state(beside: tuple[DriftRecord | None, DriftRecord | None]) -> schema.TruthState:
-    if any(check is not None and not check.is_within for check in beside):
+def _state(before: DriftRecord | None, after: DriftRecord | None) -> schema.TruthState:
+    if any(check is not None and not check.is_within for check in (before, after)):
         return "suspect"
-    return "unchecked" if None in beside else "good"
+    return "unchecked" if before is None or after is None else "good"
 
 
 def doubts(shot_ids: Sequence[int], states: Sequence[schema.TruthState]) -> tuple[str, ...]:
@@ -46,11 +60,11 @@ def doubts(shot_ids: Sequence[int], states: Sequence[schema.TruthState]) -> tupl
             shot_id for shot_id, other in zip(shot_ids, states, strict=True) if other == state
         ]
         if doubted:
-            lines.append(f"truth of shots {_spans(doubted)} is {state}: {reason}")
+            lines.append(f"truth of shots {spans(doubted)} is {state}: {reason}")
     return tuple(lines)
 
 
-def _spans(shot_ids: Sequence[int]) -> str:
+def spans(shot_ids: Sequence[int]) -> str:
     """Write ids as spans, such as ``1-20, 41``."""
     spans: list[list[int]] = []
     for shot_id in shot_ids:
@@ -67,13 +81,14 @@ def drift_records(
     """Make drift checks from their rows.
 
     Args:
-        rows: Values and checksums by the path of their column.
+        rows: Checksums and values by the path of their column, the values in the order that the
+            checksums take them.
         reflectors: Names in the order of the rows' values.
 
     Raises:
         IntegrityError: A checksum does not match.
     """
-    values = {column.path: rows[column.path] for column in schema.DRIFT_COLUMNS}
+    values = {path: column for path, column in rows.items() if path != schema.DRIFT_CRC32}
     for k, crc32 in enumerate(rows[schema.DRIFT_CRC32]):
         if schema.checksum(column[k : k + 1] for column in values.values()) != crc32:
             raise IntegrityError(
@@ -104,4 +119,5 @@ def _record(value: Mapping[str, Any], reflectors: Sequence[str]) -> DriftRecord:
         max_shift_m=float(value["max_shift_m"]),
         limit_m=float(value["limit_m"]),
         is_within=bool(value["is_within"]),
+        session=int(value.get("session", 1)),
     )

@@ -83,10 +83,10 @@ def _check_schema(path: Path, file: h5py.File) -> None:
         raise IntegrityError(
             f"{path}: attribute '{schema.SCHEMA_ATTRIBUTE}' is {text!r}, expected major.minor"
         )
-    ours = schema.SCHEMA_VERSION[0]
-    if int(major) != ours:
+    oldest, ours = schema.OLDEST_MAJOR, schema.SCHEMA_VERSION[0]
+    if not oldest <= int(major) <= ours:
         advice = "install a newer tronlab" if int(major) > ours else "use an older tronlab"
         raise SchemaVersionError(
-            f"{path}: written in dataset layout {text}; tronlab {__version__} reads layout"
-            f" {ours}.x; {advice}"
+            f"{path}: written in dataset layout {text}; tronlab {__version__} reads layouts"
+            f" {oldest}.x to {ours}.x; {advice}"
         )

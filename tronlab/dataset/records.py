@@ -76,10 +76,11 @@ class ShotQuality:
     contrast: float
     """Standard deviation over mean of the grey values."""
     sharpness: float
-    """Energy of the image's Laplacian over its variance: a number to compare shots by."""
+    """Energy of the grey values' second differences over their variance, without what noise adds:
+    a number to compare shots of like range by."""
     brightness: float | None
-    """Mean grey value over what a rendering predicts, per second of exposure; None: none was
-    predicted."""
+    """Mean grey value over what a rendering predicts, per second of exposure and at no gain; None:
+    none was predicted."""
     flags: tuple[QualityFlag, ...] = ()
 
 
@@ -105,9 +106,11 @@ class ShotRecord:
     attempt: int
     """1 for the first try of this shot."""
     trs_from_cam_nominal: RigidTransform
-    robot: RobotReading
-    tracker: PoseReading
-    room: RoomReading
+    robot: RobotReading | None
+    """None in a shot that was imported: no laboratory of ours took it. Likewise tracker and room,
+    and then NaN stands for what is not known of exposure, gain, time and the truth's covariance."""
+    tracker: PoseReading | None
+    room: RoomReading | None
     frame: Frame
     mask: NDArray[np.bool_]
     """True where the flat outline of the model is seen, shape (rows, columns)."""
@@ -169,6 +172,8 @@ class DriftRecord:
     limit_m: float
     is_within: bool
     """Whether nothing moved beyond the limit."""
+    session: int = 1
+    """Which session of the dataset made it."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,14 +1,12 @@
 """Another ground truth for a recorded dataset, in a new file: raw readings and images stay."""
 
 import hashlib
-import os
-import shutil
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
+from uuid import uuid4
 
 import h5py
 import numpy as np
@@ -16,7 +14,6 @@ from numpy.typing import NDArray
 
 from tronlab.dataset import schema
 from tronlab.dataset.admission import drift_values_of, values_of
-from tronlab.dataset.reader import Dataset
 from tronlab.dataset.records import (
     DriftRecord,
     Provenance,
@@ -24,64 +21,52 @@ from tronlab.dataset.records import (
     ShotRecord,
     Truth,
 )
-from tronlab.dataset.skeleton import dataset_at, reference_arrays, reference_checksums
-from tronlab.errors import DatasetError, IntegrityError
+from tronlab.dataset.skeleton import (
+    dataset_at,
+    group_at,
+    reference_arrays,
+    reference_checksums,
+)
+from tronlab.dataset.transcript import OnStage, silent, transcribe
+from tronlab.dataset.whole_file import whole_file
+from tronlab.errors import DatasetError
 
-_WRITE_ERRORS = (OSError, RuntimeError)
-"""What h5py raises when the operating system does not take what HDF5 writes."""
+
+@contextmanager
+def rewritten(
+    source: Path, target: Path, *, on_stage: OnStage | None = None
+) -> Generator["DatasetRewriter"]:
+    """Put other derived values into a copy of a dataset: one file, not compressed.
+
+    The copy takes its name when the ``with`` block ends well; otherwise nothing is left of it.
+
+    Args:
+        source: The dataset; it stays as it is.
+        target: The new file.
+        on_stage: Told how far copying is.
+
+    Raises:
+        DatasetError: ``target`` exists or cannot be made, or the dataset is being recorded.
+        IntegrityError: Something in the dataset is damaged: nothing should follow from it.
+    """
+    with whole_file(target) as part:
+        transcribe(source, part, uuid=str(uuid4()), on_stage=on_stage or silent)
+        with h5py.File(part, "r+") as file:
+            yield DatasetRewriter(target, file)
 
 
 class DatasetRewriter:
-    """Puts other derived values into a copy of a dataset.
+    """Puts other derived values into a dataset file; ``rewritten`` opens it."""
 
-    The copy takes its name when the ``with`` block ends well; otherwise nothing is left of it.
-    """
+    def __init__(self, target: Path, file: h5py.File) -> None:
+        """Take the file.
 
-    def __init__(self, source: Path, target: Path) -> None:
-        """Copy the dataset.
-
-        Raises:
-            DatasetError: ``target`` exists, or the copy cannot be made.
-            IntegrityError: The values of a shot are damaged: nothing should follow from them.
+        Args:
+            target: What errors call it.
+            file: Of the present layout, without segments, open for writing.
         """
-        if target.exists():
-            raise DatasetError(
-                f"{target}: exists already and is never overwritten; choose another --out"
-            )
-        if not target.parent.is_dir():
-            raise DatasetError(f"{target}: the directory {target.parent} does not exist")
-        _check_values(source)
         self.target = target
-        self._part = target.with_name(target.name + ".part")
-        try:
-            shutil.copyfile(source, self._part)
-            self._file = h5py.File(self._part, "r+")
-        except BaseException as error:
-            self._remove_part()
-            if isinstance(error, OSError):
-                raise DatasetError(f"{target}: cannot be made: {error}") from error
-            raise
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        try:
-            self._close()
-            if error is None:
-                os.replace(self._part, self.target)
-        except _WRITE_ERRORS as failure:
-            if error is None:
-                raise DatasetError(f"{self.target}: cannot be made: {failure}") from failure
-        finally:
-            self._remove_part()
-        if isinstance(error, _WRITE_ERRORS):
-            raise DatasetError(f"{self.target}: cannot be made: {error}") from error
+        self._file = file
 
     def write_truth(self, i: int, shot: ShotRecord, truth: Truth, mask: NDArray[np.bool_]) -> None:
         """Replace truth and mask of shot ``i``.
@@ -119,22 +104,31 @@ class DatasetRewriter:
         self._write(schema.REFERENCES_CRC32, (), reference_checksums(arrays))
 
     def write_drift_checks(self, checks: Sequence[DriftRecord]) -> None:
-        """Replace what the drift checks found, or, with none, say that nothing is known."""
+        """Replace what the drift checks found, or, with none, say that nothing is known.
+
+        When they were, and in which session, stays.
+        """
         reflectors = _texts(self._file[schema.DRIFT], "reflectors")
+        n_before = dataset_at(self._file, f"{schema.DRIFT}/n_shots_before")
+        sessions = dataset_at(self._file, schema.DRIFT_SESSION)
         for k, check in enumerate(checks):
-            values = drift_values_of(self.target, check, reflectors)
+            then = replace(check, n_shots_before=int(n_before[k]), session=int(sessions[k]))
+            values = drift_values_of(self.target, then, reflectors)
             for path, value in values.items():
                 self._write(path, k, value)
             self._write(schema.DRIFT_CRC32, k, schema.checksum(values.values()))
         self._write(schema.N_DRIFT_CHECKS, (), len(checks))
 
     def write_provenance(self, provenance: Provenance) -> None:
-        """Replace the calibration record, the camera and what is said of them.
+        """Replace the calibration record, in all sessions too, the camera and what is said of them.
 
         Args:
             provenance: Of the dataset, with ``recomputation``.
         """
         self._replace_texts("entry/calibration", {"data": provenance.calibration_json})
+        for session in group_at(self._file, schema.SESSIONS):
+            texts = {"calibration_json": provenance.calibration_json}
+            self._replace_texts(f"{schema.SESSIONS}/{session}", texts)
         note = self._file["entry/calibration"].attrs
         note.pop("accepted", None)
         if provenance.accepted:
@@ -144,19 +138,6 @@ class DatasetRewriter:
             group = self._file.require_group(schema.RECOMPUTED)
             group.attrs["NX_class"] = schema.OPTIONAL_GROUPS[schema.RECOMPUTED]
             self._replace_texts(schema.RECOMPUTED, asdict(provenance.recomputation))
-        version = ".".join(map(str, schema.SCHEMA_VERSION))
-        self._file.attrs[schema.SCHEMA_ATTRIBUTE] = version
-
-    def _remove_part(self) -> None:
-        with suppress(OSError):  # it must not hide what went wrong before
-            self._part.unlink()
-
-    def _close(self) -> None:
-        try:
-            self._file.flush()
-            os.fsync(self._file.id.get_vfd_handle())
-        finally:
-            self._file.close()
 
     def _replace_texts(self, group: str, texts: Mapping[str, str]) -> None:
         for name, text in texts.items():
@@ -184,14 +165,3 @@ def sha256_of(path: Path) -> str:
 
 def _texts(item: Any, attribute: str) -> list[str]:
     return [str(text) for text in item.attrs[attribute]]
-
-
-def _check_values(source: Path) -> None:
-    """Refuse damaged values: a new checksum would hide the damage for ever."""
-    with Dataset(source) as dataset:
-        damaged = [str(shot_id) for shot_id in dataset.shots_with_damaged_values()]
-    if damaged:
-        raise IntegrityError(
-            f"{source}: the values of shots {', '.join(damaged)} are damaged: their checksums do"
-            " not match; fetch the file again from its source"
-        )

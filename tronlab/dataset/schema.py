@@ -8,20 +8,30 @@ of ``default`` attributes leads a viewer to the images, and every number says it
 import math
 import zlib
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
-from typing import Any, Final, Literal, TypeAlias
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Final, Literal, TypeAlias, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform
 
-from tronlab.dataset.records import DriftRecord, ShotRecord
+from tronlab.dataset.records import (
+    DriftRecord,
+    ErrorClass,
+    QualityFlag,
+    ShotRecord,
+    ShotTiming,
+)
 from tronlab.devices.readings import PointReading
 from tronlab.geometry.poses import FloatArray, xyz_quat_from_pose
 
-SCHEMA_VERSION: Final = (1, 2)
+SCHEMA_VERSION: Final = (2, 0)
 """Major and minor. A reader refuses a higher major; a higher minor only adds to the layout."""
 
+OLDEST_MAJOR: Final = 1
+"""Of the layouts that are still read."""
+
+VERSION_TEXT: Final = ".".join(map(str, SCHEMA_VERSION))
 SCHEMA_ATTRIBUTE: Final = "tronlab_schema"
 
 FinalStatus: TypeAlias = Literal["complete", "aborted", "failed"]
@@ -35,18 +45,37 @@ TRACKER: Final = "entry/instrument/tracker"
 ROOM: Final = "entry/instrument/room"
 TRUTH: Final = "entry/truth"
 N_COMMITTED: Final = "entry/recording/n_committed"
+N_SHOTS_PLANNED: Final = "entry/recording/n_shots_planned"
+STATUS: Final = "entry/recording/status"
+REASON: Final = "entry/recording/reason"
+END_TIME: Final = "entry/end_time"
 IMAGE: Final = f"{CAMERA}/image"
 MASK: Final = f"{CAMERA}/mask"
 IMAGE_CRC32: Final = f"{CAMERA}/image_crc32"
 MASK_CRC32: Final = f"{CAMERA}/mask_crc32"
 VALUES_CRC32: Final = "entry/shots/values_crc32"
 SHOT_ID: Final = "entry/shots/shot_id"
+SUPERSEDES: Final = "entry/shots/supersedes"
+N_FAILURES: Final = "entry/shots/n_failures"
+SESSION: Final = "entry/shots/session"
+QUALITY: Final = "entry/quality"
+QUALITY_FLAGS: Final = f"{QUALITY}/flags"
+TIMING: Final = "entry/timing"
+UUID: Final = "entry/entry_identifier_uuid"
+SESSIONS: Final = "entry/sessions"
+SEGMENTS: Final = "entry/segments"
+JOURNAL: Final = "entry/journal/data"
+"""Only in a packed file: the text of the journal."""
+SEGMENT_IMAGE: Final = "entry/data/image"
+"""Within the file of a segment; likewise below."""
+SEGMENT_MASK: Final = "entry/data/mask"
 REFERENCES: Final = "entry/references"
 REFERENCES_CRC32: Final = f"{REFERENCES}/crc32"
 REFERENCE_VALUES: Final = ("view_id", "trs_from_cam", "image", "depth_m", "mask")
 """Everything of a reference view, in the order its checksum takes it."""
 DRIFT: Final = "entry/drift"
 N_DRIFT_CHECKS: Final = f"{DRIFT}/n_committed"
+DRIFT_SESSION: Final = f"{DRIFT}/session"
 DRIFT_CRC32: Final = f"{DRIFT}/crc32"
 RECOMPUTED: Final = "entry/recomputed"
 
@@ -56,6 +85,15 @@ COVARIANCE_UNITS: Final = ["rad", "rad", "rad", "m", "m", "m"]
 """Of rows and columns: element (i, j) has the product of units i and j."""
 UNIX_TIME: Final = "seconds since 1970-01-01 00:00:00 UTC"
 PIXEL_FORMAT_BYTES: Final = 16
+QUALITY_FLAG_NAMES: Final[tuple[QualityFlag, ...]] = get_args(QualityFlag)
+"""Flag ``i`` is bit ``i``; new ones come at the end."""
+ERROR_CLASSES: Final[tuple[ErrorClass, ...]] = get_args(ErrorClass)
+"""In the order of their columns; new ones come at the end."""
+NO_ROW: Final = -1
+VOID_SHOT_ID: Final = -1
+"""Of a row that holds no shot: not yet, or not any more, because a power cut damaged it."""
+UNKNOWN_FLAG: Final = 255
+"""Stands for a yes or no that nobody knows."""
 
 GROUPS: Final[Mapping[str, str]] = {
     "entry": "NXentry",
@@ -73,13 +111,19 @@ GROUPS: Final[Mapping[str, str]] = {
     ROOM: "NXcollection",
     "entry/shots": "NXcollection",
     TRUTH: "NXcollection",
+    QUALITY: "NXcollection",
+    TIMING: "NXcollection",
     "entry/data": "NXdata",
+    "entry/overview": "NXdata",
 }
-"""Every group and its NeXus class; those that not every file has are in ``OPTIONAL_GROUPS``."""
+"""Every group of a new file and its NeXus class; ``OPTIONAL_GROUPS`` has those not all need."""
 
 OPTIONAL_GROUPS: Final[Mapping[str, str]] = {
     REFERENCES: "NXcollection",
     DRIFT: "NXcollection",
+    SESSIONS: "NXcollection",
+    SEGMENTS: "NXcollection",
+    "entry/journal": "NXnote",
     RECOMPUTED: "NXprocess",
 }
 
@@ -93,9 +137,18 @@ class Column:
     dtype: str = "<f8"
     shape: tuple[int, ...] = ()
     """Of one row."""
-    attributes: Mapping[str, str] = field(default_factory=dict[str, str])
+    attributes: Mapping[str, str | list[str]] = field(default_factory=dict[str, str | list[str]])
     is_optional: bool = False
-    """Not every device says it: NaN where it is not known, and files of layout 1.0 lack it."""
+    """Not always known: NaN where it is not, and files of older layouts may lack it."""
+    is_of_laboratory: bool = False
+    """Not known of imported shots: NaN there, or ``UNKNOWN_FLAG`` for a yes or no."""
+
+    @property
+    def fill(self) -> float:
+        """Get what stands in rows that hold nothing."""
+        if self.path in {SHOT_ID, SUPERSEDES}:
+            return VOID_SHOT_ID if self.path == SHOT_ID else NO_ROW
+        return math.nan if np.dtype(self.dtype).kind == "f" else 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +158,7 @@ class ShotColumn(Column):
     value_of: Callable[[ShotRecord], ArrayLike] = field(kw_only=True)
 
 
-def pose_attributes(parent: str, child: str) -> dict[str, str]:
+def pose_attributes(parent: str, child: str) -> dict[str, str | list[str]]:
     """Give the attributes of a stored pose ``parent_from_child``."""
     return {
         "parent": parent,
@@ -115,17 +168,26 @@ def pose_attributes(parent: str, child: str) -> dict[str, str]:
     }
 
 
-def _pose(path: str, pose_of: Callable[[ShotRecord], RigidTransform]) -> ShotColumn:
+def _pose(path: str, pose_of: Callable[[ShotRecord], RigidTransform | None]) -> ShotColumn:
+    def numbers(shot: ShotRecord) -> ArrayLike:
+        pose = pose_of(shot)
+        return np.full(7, np.nan) if pose is None else xyz_quat_from_pose(pose)
+
     return ShotColumn(
         path,
         POSE_UNITS,
         shape=(7,),
         attributes=pose_attributes(*_frames(path)),
-        value_of=lambda shot: xyz_quat_from_pose(pose_of(shot)),
+        is_of_laboratory=path.startswith((ROBOT, TRACKER)),
+        value_of=numbers,
     )
 
 
-def _covariance(path: str, covariance_of: Callable[[ShotRecord], FloatArray]) -> ShotColumn:
+def _covariance(path: str, covariance_of: Callable[[ShotRecord], FloatArray | None]) -> ShotColumn:
+    def numbers(shot: ShotRecord) -> ArrayLike:
+        covariance = covariance_of(shot)
+        return np.full((6, 6), np.nan) if covariance is None else covariance
+
     parent, child = _frames(path)
     order = "rotation vector, translation; both in the parent frame"
     return ShotColumn(
@@ -133,7 +195,8 @@ def _covariance(path: str, covariance_of: Callable[[ShotRecord], FloatArray]) ->
         COVARIANCE_UNITS,
         shape=(6, 6),
         attributes={"parent": parent, "child": child, "order": order},
-        value_of=covariance_of,
+        is_of_laboratory=True,
+        value_of=numbers,
     )
 
 
@@ -151,36 +214,84 @@ def _optional(path: str, units: str, value_of: Callable[[ShotRecord], float | No
     return ShotColumn(path, units, is_optional=True, value_of=number)
 
 
-def _air(shot: ShotRecord, quantity: str) -> float | None:
-    return None if shot.tracker.air is None else getattr(shot.tracker.air, quantity)
+def _measured(path: str, units: str, value_of: Callable[[ShotRecord], float | None]) -> ShotColumn:
+    return replace(_optional(path, units, value_of), is_optional=False, is_of_laboratory=True)
 
+
+def _flag(path: str, value_of: Callable[[ShotRecord], bool | None]) -> ShotColumn:
+    def number(shot: ShotRecord) -> int:
+        value = value_of(shot)
+        return UNKNOWN_FLAG if value is None else value
+
+    return ShotColumn(path, "1", "u1", is_of_laboratory=True, value_of=number)
+
+
+def _air(shot: ShotRecord, quantity: str) -> float | None:
+    air = shot.tracker and shot.tracker.air
+    return None if air is None else getattr(air, quantity)
+
+
+def quality_bits(flags: Iterable[QualityFlag]) -> int:
+    """Give flags as bits, in the order of ``QUALITY_FLAG_NAMES``."""
+    return sum(1 << QUALITY_FLAG_NAMES.index(flag) for flag in set(flags))
+
+
+def _quality(name: str, units: str) -> ShotColumn:
+    def value_of(shot: ShotRecord) -> float | None:
+        return None if shot.quality is None else getattr(shot.quality, name)
+
+    return _optional(f"{QUALITY}/{name}", units, value_of)
+
+
+def _timing(name: str) -> ShotColumn:
+    def value_of(shot: ShotRecord) -> float | None:
+        return None if shot.timing is None else getattr(shot.timing, name)
+
+    return _optional(f"{TIMING}/{name}", "s", value_of)
+
+
+_QUALITY_UNITS: Final = {
+    "settle_shift_m": "m",
+    "settle_turn_rad": "rad",
+    "exposure_shift_m": "m",
+    "exposure_turn_rad": "rad",
+    "tracker_sigma_m": "m",
+    "robot_shift_m": "m",
+    "robot_turn_rad": "rad",
+    "saturated_fraction": "1",
+    "contrast": "1",
+    "sharpness": "1",
+    "brightness": "1/s",
+}
 
 COLUMNS: Final[tuple[ShotColumn, ...]] = (
     ShotColumn(SHOT_ID, "1", "<i8", value_of=lambda s: s.shot_id),
     ShotColumn("entry/shots/attempt", "1", "<i8", value_of=lambda s: s.attempt),
     _pose("entry/shots/trs_from_cam_nominal", lambda s: s.trs_from_cam_nominal),
-    ShotColumn(f"{ROBOT}/rail_m", "m", value_of=lambda s: s.robot.rail_m),
-    _pose(f"{ROBOT}/base_from_flange", lambda s: s.robot.base_from_flange),
-    ShotColumn(f"{ROBOT}/time_s", UNIX_TIME, value_of=lambda s: s.robot.time_s),
-    _pose(f"{TRACKER}/trk_from_tmac", lambda s: s.tracker.trk_from_tmac),
-    _covariance(f"{TRACKER}/trk_from_tmac_covariance", lambda s: s.tracker.covariance),
-    ShotColumn(f"{TRACKER}/time_s", UNIX_TIME, value_of=lambda s: s.tracker.time_s),
-    ShotColumn(f"{ROOM}/air_temperature_k", "K", value_of=lambda s: s.room.air_temperature_k),
-    ShotColumn(f"{ROOM}/air_pressure_pa", "Pa", value_of=lambda s: s.room.air_pressure_pa),
-    ShotColumn(f"{ROOM}/relative_humidity", "1", value_of=lambda s: s.room.relative_humidity),
-    ShotColumn(f"{ROOM}/is_door_closed", "1", "u1", value_of=lambda s: s.room.is_door_closed),
-    ShotColumn(f"{ROOM}/is_lamp_on", "1", "u1", value_of=lambda s: s.room.is_lamp_on),
-    ShotColumn(f"{ROOM}/time_s", UNIX_TIME, value_of=lambda s: s.room.time_s),
+    _measured(f"{ROBOT}/rail_m", "m", lambda s: s.robot and s.robot.rail_m),
+    _pose(f"{ROBOT}/base_from_flange", lambda s: s.robot and s.robot.base_from_flange),
+    _measured(f"{ROBOT}/time_s", UNIX_TIME, lambda s: s.robot and s.robot.time_s),
+    _pose(f"{TRACKER}/trk_from_tmac", lambda s: s.tracker and s.tracker.trk_from_tmac),
+    _covariance(
+        f"{TRACKER}/trk_from_tmac_covariance", lambda s: s.tracker and s.tracker.covariance
+    ),
+    _measured(f"{TRACKER}/time_s", UNIX_TIME, lambda s: s.tracker and s.tracker.time_s),
+    _measured(f"{ROOM}/air_temperature_k", "K", lambda s: s.room and s.room.air_temperature_k),
+    _measured(f"{ROOM}/air_pressure_pa", "Pa", lambda s: s.room and s.room.air_pressure_pa),
+    _measured(f"{ROOM}/relative_humidity", "1", lambda s: s.room and s.room.relative_humidity),
+    _flag(f"{ROOM}/is_door_closed", lambda s: s.room and s.room.is_door_closed),
+    _flag(f"{ROOM}/is_lamp_on", lambda s: s.room and s.room.is_lamp_on),
+    _measured(f"{ROOM}/time_s", UNIX_TIME, lambda s: s.room and s.room.time_s),
     ShotColumn(
         f"{CAMERA}/pixel_format",
         "",
         f"S{PIXEL_FORMAT_BYTES}",
         value_of=lambda s: s.frame.pixel_format.encode(),
     ),
-    ShotColumn(f"{CAMERA}/exposure_s", "s", value_of=lambda s: s.frame.exposure_s),
-    ShotColumn(f"{CAMERA}/gain_db", "dB", value_of=lambda s: s.frame.gain_db),
+    _measured(f"{CAMERA}/exposure_s", "s", lambda s: s.frame.exposure_s),
+    _measured(f"{CAMERA}/gain_db", "dB", lambda s: s.frame.gain_db),
     ShotColumn(f"{CAMERA}/frame_id", "1", "<i8", value_of=lambda s: s.frame.frame_id),
-    ShotColumn(f"{CAMERA}/time_s", UNIX_TIME, value_of=lambda s: s.frame.time_s),
+    _measured(f"{CAMERA}/time_s", UNIX_TIME, lambda s: s.frame.time_s),
     _pose(f"{TRUTH}/trs_from_cam", lambda s: s.truth.trs_from_cam),
     _covariance(f"{TRUTH}/trs_from_cam_covariance", lambda s: s.truth.covariance),
     ShotColumn(f"{TRUTH}/range_los_m", "m", value_of=lambda s: s.truth.range_los_m),
@@ -189,8 +300,31 @@ COLUMNS: Final[tuple[ShotColumn, ...]] = (
     _optional(f"{TRACKER}/air_pressure_pa", "Pa", lambda s: _air(s, "pressure_pa")),
     _optional(f"{TRACKER}/relative_humidity", "1", lambda s: _air(s, "relative_humidity")),
     _optional(f"{CAMERA}/device_time_s", "s", lambda s: s.frame.device_time_s),
+    ShotColumn(SESSION, "1", "<i8", is_optional=True, value_of=lambda s: s.session),
+    ShotColumn(
+        N_FAILURES,
+        "1",
+        "<u2",
+        shape=(len(ERROR_CLASSES),),
+        attributes={"classes": list(ERROR_CLASSES)},
+        is_optional=True,
+        value_of=lambda s: [s.n_failures.get(name, 0) for name in ERROR_CLASSES],
+    ),
+    *(_quality(name, units) for name, units in _QUALITY_UNITS.items()),
+    ShotColumn(
+        QUALITY_FLAGS,
+        "1",
+        "<u4",
+        attributes={"flags": list(QUALITY_FLAG_NAMES)},
+        is_optional=True,
+        value_of=lambda s: 0 if s.quality is None else quality_bits(s.quality.flags),
+    ),
+    *(_timing(field.name) for field in fields(ShotTiming)),
 )
-"""Every value of a shot besides image and mask, in the order their checksum takes them."""
+"""Every value of a shot besides image and mask."""
+
+SUPERSEDES_COLUMN: Final = Column(SUPERSEDES, "1", "<i8", is_optional=True)
+"""The earlier row of the same shot that this row replaces, or -1."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,6 +365,7 @@ DRIFT_COLUMNS: Final[tuple[DriftColumn, ...]] = (
     DriftColumn(f"{DRIFT}/max_shift_m", "m", value_of=lambda c: c.max_shift_m),
     DriftColumn(f"{DRIFT}/limit_m", "m", value_of=lambda c: c.limit_m),
     DriftColumn(f"{DRIFT}/is_within", "1", "u1", value_of=lambda c: c.is_within),
+    DriftColumn(DRIFT_SESSION, "1", "<i8", is_optional=True, value_of=lambda c: c.session),
 )
 """Every value of a drift check, in the order its checksum takes them."""
 
@@ -239,6 +374,12 @@ CHECKSUM_COLUMNS: Final[tuple[Column, ...]] = tuple(
 )
 """CRC-32 of the bytes of image, mask (as uint8) and all other values of a shot."""
 
+ROW_COLUMNS: Final[tuple[Column, ...]] = (*COLUMNS, SUPERSEDES_COLUMN, *CHECKSUM_COLUMNS)
+"""Everything with one row a shot, besides image and mask."""
+
+VALUES_ORDER: Final = (*(column.path for column in COLUMNS), SUPERSEDES)
+"""The columns in the order their checksum takes them."""
+
 
 def checksum(values: Iterable[NDArray[Any]]) -> int:
     """Give the CRC-32 of the bytes of all values, one after the other."""
@@ -246,3 +387,11 @@ def checksum(values: Iterable[NDArray[Any]]) -> int:
     for value in values:
         crc = zlib.crc32(np.ascontiguousarray(value).data, crc)
     return crc
+
+
+def void_row() -> dict[str, NDArray[Any]]:
+    """Give the values of a row that holds no shot, by the path of their column."""
+    columns = (*COLUMNS, SUPERSEDES_COLUMN)
+    values = {c.path: np.full(c.shape, c.fill, c.dtype) for c in columns}
+    crc32 = checksum(values[path] for path in VALUES_ORDER)
+    return {**values, VALUES_CRC32: np.array(crc32, "<u4")}

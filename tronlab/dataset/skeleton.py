@@ -1,8 +1,8 @@
 """The empty dataset file: groups, provenance, and room for every planned shot.
 
-Room is made for all planned shots before the first one is committed: committing then only
-overwrites bytes in place and never touches the file's inner structure, so that neither a kill nor a
-full disk can leave that structure half changed. Images and masks occupy disk only once written.
+Room is made for all rows before the file has its name: committing a shot then only overwrites bytes
+in place and never touches the file's inner structure, so that neither a kill nor a full disk can
+leave that structure half changed.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,15 +11,22 @@ from typing import Any, cast
 
 import h5py
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import NDArray
 
 from tronlab import __version__
 from tronlab.dataset import schema
 from tronlab.dataset.records import Provenance, ReferenceView
+from tronlab.dataset.segments import (
+    Segment,
+    create_stack,
+    write_segment_table,
+    write_virtual_stacks,
+)
 from tronlab.geometry.poses import xyz_quat_from_pose
 
-_ROWS_PER_CHUNK = 64
-_SHORT_TEXT_BYTES = 32
+SHORT_TEXT_BYTES = 32
+REASON_BYTES = 4096
+"""The journal has longer ones whole."""
 _REFERENCE_UNITS: Mapping[str, str | list[str]] = {
     "view_id": "1",
     "trs_from_cam": schema.POSE_UNITS,
@@ -44,14 +51,14 @@ def dataset_at(file: h5py.File, path: str) -> h5py.Dataset:
     return cast(h5py.Dataset, file[path])
 
 
-def create_skeleton(file: h5py.File, provenance: Provenance) -> None:
-    """Write groups, provenance, the counter at 0 and empty columns for all planned shots."""
+def create_skeleton(file: h5py.File, provenance: Provenance, *, uuid: str, n_rows: int) -> None:
+    """Write groups, provenance, the counter at 0 and empty columns."""
     file.attrs.update(
         {
             "NX_class": "NXroot",
             "default": "entry",
             "creator": "tronlab",
-            schema.SCHEMA_ATTRIBUTE: ".".join(map(str, schema.SCHEMA_VERSION)),
+            schema.SCHEMA_ATTRIBUTE: schema.VERSION_TEXT,
         }
     )
     for path, nx_class in schema.GROUPS.items():
@@ -62,27 +69,50 @@ def create_skeleton(file: h5py.File, provenance: Provenance) -> None:
     file["entry/software"].attrs.update(provenance.software)
     file["entry/devices"].attrs.update(provenance.devices)
     file[f"{schema.CAMERA}/model"].attrs.update(provenance.camera.to_dict())
-    for column in (*schema.COLUMNS, *schema.CHECKSUM_COLUMNS):
-        _create_rows(file, column, provenance.n_shots_planned, row_shape=column.shape)
-    file[schema.VALUES_CRC32].attrs["order"] = [column.path for column in schema.COLUMNS]
+    file[schema.UUID] = uuid
+    for column in schema.ROW_COLUMNS:
+        _create_rows(file, column, n_rows, row_shape=column.shape)
+    file[schema.VALUES_CRC32].attrs["order"] = list(schema.VALUES_ORDER)
+    _link(file, "entry/overview", "range_los_m", f"{schema.TRUTH}/range_los_m")
+    _link(file, "entry/overview", "usable_fraction", f"{schema.TRUTH}/usable_fraction")
+    file["entry/overview"].attrs.update(
+        {"signal": "range_los_m", "auxiliary_signals": ["usable_fraction"], "axes": ["shot_id"]}
+    )
+    _link(file, "entry/overview", "shot_id", schema.SHOT_ID)
 
 
-def create_images(file: h5py.File, dtype: DTypeLike, provenance: Provenance) -> None:
-    """Make room for the images and masks of all planned shots, and link them for viewers."""
-    shape = provenance.camera.shape
-    stacks = [
-        _create_stack(file, schema.IMAGE, shape, np.dtype(dtype).newbyteorder("<")),
-        _create_stack(file, schema.MASK, shape, np.dtype(np.uint8)),
-    ]
-    # In turns, so that the last shots lie at the end of the file and their room can be given back.
-    for n_rows in range(1, provenance.n_shots_planned + 1):
-        for stack in stacks:
-            stack.resize(n_rows, axis=0)
+def create_images(
+    file: h5py.File, *, n_rows: int, shape: tuple[int, int], dtype: np.dtype[Any]
+) -> None:
+    """Make room for images and masks in the dataset's own file."""
+    create_stack(file, schema.IMAGE, (n_rows, *shape), dtype)
+    create_stack(file, schema.MASK, (n_rows, *shape), np.dtype(np.uint8))
+    describe_images(file)
+
+
+def show_segments(
+    file: h5py.File, segments: Sequence[Segment], *, shape: tuple[int, int], dtype: np.dtype[Any]
+) -> None:
+    """Say where the segments are, and let viewers see them as one stack."""
+    write_segment_table(file, segments)
+    write_virtual_stacks(file, segments, shape=shape, dtype=dtype)
+    describe_images(file)
+
+
+def describe_images(file: h5py.File) -> None:
+    """Say what images and masks are, and let viewers find them."""
+    for path in (schema.IMAGE, schema.MASK):
+        file[path].attrs["units"] = "1"
     file[schema.MASK].attrs["meaning"] = "1 where the flat outline of the model is seen"
-    plot = group_at(file, "entry/data")
-    plot.attrs.update({"signal": "image", "axes": ["shot_id", ".", "."]})
-    plot["image"] = file[schema.IMAGE]
-    plot["shot_id"] = file[schema.SHOT_ID]
+    file["entry/data"].attrs.update({"signal": "image", "axes": ["shot_id", ".", "."]})
+    _link(file, "entry/data", "image", schema.IMAGE)
+    _link(file, "entry/data", "shot_id", schema.SHOT_ID)
+
+
+def _link(file: h5py.File, group: str, name: str, target: str) -> None:
+    """Let viewers find a dataset; a soft link survives that the dataset is made anew."""
+    if name not in file[group]:  # pyright: ignore[reportOperatorIssue]
+        file[f"{group}/{name}"] = h5py.SoftLink(f"/{target}")
 
 
 def create_references(file: h5py.File, views: tuple[ReferenceView, ...]) -> None:
@@ -130,33 +160,31 @@ def create_drift(file: h5py.File, reflectors: tuple[str, ...], n_checks: int) ->
     file.create_dataset(schema.N_DRIFT_CHECKS, data=np.int64(0)).attrs["units"] = "1"
 
 
-def shrink_drift(file: h5py.File, n_rows: int) -> None:
-    """Give back the room of drift checks that will never come."""
+def resize_drift(file: h5py.File, n_checks: int) -> None:
+    """Make room for so many drift checks in all."""
     for path in (*(column.path for column in schema.DRIFT_COLUMNS), schema.DRIFT_CRC32):
-        dataset_at(file, path).resize(n_rows, axis=0)
+        _resize(file, path, n_checks)
 
 
-def shrink_rows(file: h5py.File, n_rows: int) -> None:
-    """Give back the room of shots that will never come."""
-    columns = [column.path for column in (*schema.COLUMNS, *schema.CHECKSUM_COLUMNS)]
-    stacks = [path for path in (schema.IMAGE, schema.MASK) if path in file]
-    for path in columns + stacks:
-        dataset_at(file, path).resize(n_rows, axis=0)
+def resize_rows(file: h5py.File, n_rows: int) -> None:
+    """Make room for so many rows in all, besides their images."""
+    for column in schema.ROW_COLUMNS:
+        _resize(file, column.path, n_rows)
 
 
 def _write_entry(entry: h5py.Group, provenance: Provenance) -> None:
     entry.attrs["default"] = "data"
     entry["title"] = provenance.campaign_name
     entry["start_time"] = utc_now()
-    _create_short_text(entry, "end_time", "")
+    create_text(entry, "end_time", "", SHORT_TEXT_BYTES)
 
 
 def _write_recording(recording: h5py.Group, provenance: Provenance) -> None:
     recording["program"] = "tronlab"
     recording["version"] = __version__
     recording["plan_sha256"] = provenance.plan_sha256
-    recording["reason"] = ""
-    _create_short_text(recording, "status", "running")
+    create_text(recording, "reason", "", REASON_BYTES)
+    create_text(recording, "status", "running", SHORT_TEXT_BYTES)
     numbers = {
         "seed": provenance.seed,
         "n_shots_planned": provenance.n_shots_planned,
@@ -181,42 +209,44 @@ def _write_notes(file: h5py.File, provenance: Provenance) -> None:
     file["entry/instrument/name"] = provenance.rig_name
 
 
-def _create_short_text(group: h5py.Group, name: str, text: str) -> None:
+def shortened(text: str, n_bytes: int) -> bytes:
+    """Give a text as HDF5 can store it in so many bytes; an ellipsis says that there was more."""
+    encoded = text.replace("\0", " ").encode(errors="replace")
+    if len(encoded) <= n_bytes:
+        return encoded
+    ellipsis = b" ..."
+    return encoded[: n_bytes - len(ellipsis)].decode(errors="ignore").encode() + ellipsis
+
+
+def create_text(group: h5py.Group, name: str, text: str, n_bytes: int) -> None:
     """Fixed length, so that a later value overwrites it in place."""
-    group.create_dataset(name, data=text, dtype=h5py.string_dtype("utf-8", _SHORT_TEXT_BYTES))
+    group.create_dataset(name, data=text, dtype=h5py.string_dtype("utf-8", n_bytes))
 
 
 def _create_rows(
     file: h5py.File, column: schema.Column, n_rows: int, *, row_shape: tuple[int, ...]
 ) -> None:
+    properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    properties.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
     rows = file.create_dataset(
         column.path,
         shape=(n_rows, *row_shape),
-        maxshape=(None, *row_shape),
         dtype=column.dtype,
-        chunks=(min(n_rows, _ROWS_PER_CHUNK), *row_shape),
-        dcpl=_allocated_early(),
+        dcpl=properties,
+        fillvalue=None if np.dtype(column.dtype).kind == "S" else column.fill,
     )
     rows.attrs.update({"units": column.units, **column.attributes})
 
 
-def _create_stack(
-    file: h5py.File, path: str, shape: tuple[int, int], dtype: np.dtype[Any]
-) -> h5py.Dataset:
-    stack = file.create_dataset(
-        path,
-        shape=(0, *shape),
-        maxshape=(None, *shape),
-        dtype=dtype,
-        chunks=(1, *shape),
-        dcpl=_allocated_early(),
-        fill_time="never",
+def _resize(file: h5py.File, path: str, n_rows: int) -> None:
+    """Replace a column by a longer or shorter one: one that is contiguous cannot grow."""
+    old = dataset_at(file, path)
+    if len(old) == n_rows:
+        return
+    values, attributes, properties = old[:n_rows], dict(old.attrs), old.id.get_create_plist()
+    del file[path]
+    rows = file.create_dataset(
+        path, shape=(n_rows, *values.shape[1:]), dtype=values.dtype, dcpl=properties
     )
-    stack.attrs["units"] = "1"
-    return stack
-
-
-def _allocated_early() -> h5py.h5p.PropDCID:
-    properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
-    properties.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)
-    return properties
+    rows.attrs.update(attributes)
+    rows[: len(values)] = values

@@ -1,68 +1,130 @@
-"""Recording a dataset shot by shot, so that a kill at any moment loses no committed shot.
+"""Recording a dataset shot by shot, so that neither a kill nor a power cut loses what is committed.
 
-The dataset is its own journal: the data of a shot, flush; then the counter ``n_committed``, flush.
-The first flush matters: without it HDF5 may write the counter before the data.
+The dataset is its own journal: image and mask, then values and checksums, then the counter
+``n_committed``. All of it overwrites bytes of files whose structure was made before. A kill leaves
+what the operating system was given, in this order. Against power cuts everything is forced to the
+disk at least once a second, and ``reopen`` drops the last rows if their checksums do not match.
 """
 
-import errno
-import os
-import shutil
-from collections.abc import Sequence
-from contextlib import suppress
+import time
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-from typing import Self, get_args
+from typing import Final, Self, get_args
 
-import h5py
 import numpy as np
 
 from tronlab.dataset import schema, skeleton
-from tronlab.dataset.admission import (
-    Values,
-    check_images,
-    check_provenance,
-    check_view,
-    drift_values_of,
-    values_of,
-)
-from tronlab.dataset.records import DriftRecord, Provenance, ReferenceView, ShotRecord
-from tronlab.dataset.skeleton import dataset_at
+from tronlab.dataset.admission import Values, check_images, check_view, drift_values_of, values_of
+from tronlab.dataset.beginning import N_VERIFIED_ROWS, Beginning, begin, begin_again
+from tronlab.dataset.image_writing import ImageWriter, MasterImages, SegmentImages
+from tronlab.dataset.master import Master
+from tronlab.dataset.records import DriftRecord, Provenance, ReferenceView, Session, ShotRecord
+from tronlab.dataset.segments import plan_segments
 from tronlab.errors import DatasetError
 
-_WRITE_ERRORS = (OSError, RuntimeError)
-"""What h5py raises when the operating system does not take what HDF5 writes."""
+_WRITE_ERRORS = (OSError, RuntimeError, ValueError)
+"""What is raised when the operating system does not take what is written; HDF5 has its own."""
 
-_STRUCTURE_BYTES = 1 << 20
-"""More than HDF5 needs for the structure around a few stacks of images."""
+_SYNC_EVERY_S: Final = 1.0
+_SYNC_EVERY_ROWS: Final = N_VERIFIED_ROWS // 2
 
 
 class DatasetWriter:
-    """Writes one dataset file.
+    """Writes one dataset.
 
-    Leaving the ``with`` block by an exception before ``finish`` records the exception and status
-    ``failed``, or ``aborted`` for Ctrl-C. Leaving it otherwise without ``finish`` leaves the status
-    ``running``.
+    Its file gets its name with the first shot; if there never is one, nothing is left. Leaving the
+    ``with`` block by an exception before ``finish`` records the exception and status ``failed``, or
+    ``aborted`` for Ctrl-C. Leaving it otherwise without ``finish`` leaves the status ``running``.
     """
 
-    def __init__(self, path: Path, provenance: Provenance) -> None:
-        """Create the file; it must not exist.
+    def __init__(
+        self,
+        path: Path,
+        provenance: Provenance,
+        *,
+        session: Session | None = None,
+        segment_shots: int | None = None,
+        n_spare_rows: int = 0,
+    ) -> None:
+        """Begin a new dataset.
+
+        Args:
+            path: Its file; it must not exist.
+            provenance: Where it comes from.
+            session: Who records; shots and drift checks get its number. None: it is made from
+                another dataset, and they say their session themselves.
+            segment_shots: Images of so many shots go to one file beside; None: all into this one.
+            n_spare_rows: Room for shots that are taken again.
 
         Raises:
             DatasetError: The file exists, cannot be created, or the provenance makes no sense.
         """
-        check_provenance(path, provenance)
-        self.path = path
-        self._provenance = provenance
-        self._file = _create(path)
-        self._shot_ids: set[int] = set()
-        self._rows: dict[str, h5py.Dataset] = {}
-        self._reflectors: tuple[str, ...] = ()
-        try:
-            skeleton.create_skeleton(self._file, provenance)
-            self._sync()
-        except (OSError, ValueError, TypeError) as error:
-            self._close()
-            raise DatasetError(f"{path}: cannot be set up: {error}") from error
+        self._set_up(
+            *begin(path, provenance, session, n_spare_rows=n_spare_rows), session, segment_shots
+        )
+
+    @classmethod
+    def reopen(
+        cls,
+        path: Path,
+        session: Session,
+        *,
+        n_rows: int,
+        segment_shots: int,
+        n_shots_planned: int | None = None,
+    ) -> Self:
+        """Go on with a dataset that was recorded in segments.
+
+        The last rows are verified; those that a power cut damaged are dropped, and the journal says
+        so. The file itself stays as it was until the first shot is committed, or ``finish``.
+
+        Args:
+            path: Its file.
+            session: Who records now; its number follows the last one's.
+            n_rows: So many more rows are needed.
+            segment_shots: Of new segments; one that was begun is filled first.
+            n_shots_planned: If that is another number now.
+
+        Raises:
+            DatasetError: It cannot be read, has no segments, is of another version, or the session
+                does not follow; or the disk does not take it.
+        """
+        writer = cls.__new__(cls)
+        master, beginning = begin_again(
+            path,
+            session,
+            n_rows=n_rows,
+            segment_shots=segment_shots,
+            n_shots_planned=n_shots_planned,
+        )
+        writer._set_up(master, beginning, session, segment_shots)  # noqa: SLF001 - it is this class
+        return writer
+
+    def _set_up(
+        self,
+        master: Master,
+        beginning: Beginning,
+        session: Session | None,
+        segment_shots: int | None,
+    ) -> None:
+        self.path = master.path
+        self._master = master
+        self._beginning = beginning
+        self._session = session
+        self._segment_shots = segment_shots
+        self._n_rows = beginning.n_rows
+        self._row_of = dict(beginning.row_of)
+        self._has_references = beginning.has_references
+        self._reflectors = beginning.reflectors
+        self._n_checks = self._room_for_checks = beginning.n_checks
+        self._has_planned_checks = False
+        self._images: ImageWriter | None = None
+        if beginning.dtype is not None:
+            self._images = self._segment_images(beginning.dtype)
+        self._n_unsynced, self._synced_s = 0, time.monotonic()
 
     def __enter__(self) -> Self:
         return self
@@ -73,7 +135,7 @@ class DatasetWriter:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        if not self._file:
+        if not self._master.is_open:
             return
         if error is None:
             self._close()
@@ -85,103 +147,128 @@ class DatasetWriter:
 
     @property
     def n_committed(self) -> int:
-        """Get the number of shots that are safe in the file."""
-        return len(self._shot_ids)
+        """Get the number of shots that are safe in the dataset."""
+        return len(self._row_of)
+
+    @property
+    def committed_ids(self) -> frozenset[int]:
+        """Get the ids of those shots."""
+        return frozenset(self._row_of)
 
     def add_references(self, views: Sequence[ReferenceView]) -> None:
-        """Store the reference views; once.
+        """Store the reference views; once, before the first shot.
 
         Raises:
             DatasetError: No views, views already stored, a view that does not fit the camera, the
                 writer is finished, or the disk does not take them.
         """
         self._check_open()
-        if schema.REFERENCES in self._file:
+        if self._has_references:
             raise DatasetError(f"{self.path}: the reference views are already stored")
         if not views:
             raise DatasetError(f"{self.path}: no reference views were given")
         for view in views:
-            check_view(self.path, self._provenance, view)
+            check_view(self.path, self._beginning.shape, view)
         n_bytes = sum(v.image.nbytes + v.depth_m.nbytes + v.mask.nbytes for v in views)
-        try:
-            self._probe_room(n_bytes)
-            skeleton.create_references(self._file, tuple(views))
-            self._sync()
-        except _WRITE_ERRORS as error:
-            raise DatasetError(
-                f"{self.path}: the reference views could not be written: {error}"
-            ) from error
+        with (
+            self._explained("the reference views could not be written"),
+            self._master.structure(n_bytes) as file,
+        ):
+            skeleton.create_references(file, tuple(views))
+        self._has_references = True
 
     def plan_drift_checks(self, reflectors: Sequence[str], n_checks: int) -> None:
-        """Make room for the drift checks; once, before the first of them.
+        """Make room for the drift checks of this session; once, before the first of them.
 
         Raises:
-            DatasetError: Already done, nothing to make room for, or the disk does not take it.
+            DatasetError: Already done, nothing to make room for, other reflectors than in an
+                earlier session, or the disk does not take it.
         """
         self._check_open()
-        if schema.DRIFT in self._file:
+        if self._has_planned_checks:
             raise DatasetError(f"{self.path}: the drift checks are already planned")
         if not reflectors or n_checks < 1:
             raise DatasetError(
                 f"{self.path}: {n_checks} drift checks of {len(reflectors)} reflectors are planned,"
                 " at least 1 of each needed"
             )
-        try:
-            skeleton.create_drift(self._file, tuple(reflectors), n_checks)
-            self._sync()
-        except _WRITE_ERRORS as error:
+        if self._reflectors and self._reflectors != tuple(reflectors):
             raise DatasetError(
-                f"{self.path}: the drift checks could not be set up: {error}"
-            ) from error
+                f"{self.path}: drift checks of reflectors {', '.join(reflectors)}, those of"
+                f" earlier sessions are {', '.join(self._reflectors)}"
+            )
+        room = self._n_checks + n_checks
+        with (
+            self._explained("the drift checks could not be set up"),
+            self._master.structure() as file,
+        ):
+            if self._reflectors:
+                skeleton.resize_drift(file, room)
+            else:
+                skeleton.create_drift(file, tuple(reflectors), room)
         self._reflectors = tuple(reflectors)
+        self._room_for_checks = room
+        self._has_planned_checks = True
 
     def commit_drift(self, check: DriftRecord) -> None:
         """Store one drift check; when this returns, a kill does not lose it.
+
+        It is stored as made after the rows that are committed now: what it counts itself are the
+        shots of its session only.
 
         Raises:
             DatasetError: It was not planned, contradicts the plan, or the disk does not take it.
         """
         self._check_open()
+        check = replace(check, n_shots_before=self._n_rows)
+        if self._session is not None:
+            check = replace(check, session=self._session.number)
         values = drift_values_of(self.path, check, self._reflectors)
-        row = self._n_rows(schema.N_DRIFT_CHECKS)
-        if row == len(self._row(schema.DRIFT_CRC32)):
+        row = self._n_checks
+        if row == self._room_for_checks:
             raise DatasetError(f"{self.path}: one more than the {row} drift checks planned")
-        try:
+        with self._explained("a drift check could not be written"):
             for path, value in values.items():
-                self._row(path)[row] = value
-            self._row(schema.DRIFT_CRC32)[row] = schema.checksum(values.values())
-            self._count(schema.N_DRIFT_CHECKS, row + 1)
-        except _WRITE_ERRORS as error:
-            raise DatasetError(
-                f"{self.path}: a drift check could not be written: {error}"
-            ) from error
+                self._master.write_row(path, row, value)
+            self._master.write_row(schema.DRIFT_CRC32, row, schema.checksum(values.values()))
+            self._master.write(schema.N_DRIFT_CHECKS, row + 1)
+            if self._master.is_published:
+                self._master.sync()
+        self._n_checks = row + 1
 
-    def commit(self, shot: ShotRecord) -> None:
+    def commit(self, shot: ShotRecord, replaces: bool = False) -> None:
         """Store one shot; when this returns, a kill does not lose it.
+
+        Args:
+            shot: The shot.
+            replaces: Whether it may take the place of the same shot committed before, which stays
+                in the file but does not count any more.
 
         Raises:
             DatasetError: The shot contradicts the dataset or the disk does not take it. The shots
                 committed before stay readable either way.
         """
         self._check_open()
-        self._check_plan(shot)
-        recorded = self._row(schema.IMAGE).dtype if schema.IMAGE in self._file else None
-        check_images(self.path, self._provenance, shot, recorded)
+        self._check_plan(shot, replaces=replaces)
+        recorded = self._images.dtype if self._images is not None else None
+        check_images(self.path, self._beginning.shape, shot, recorded)
+        if self._session is not None:
+            shot = replace(shot, session=self._session.number)
         values = values_of(self.path, shot)
-        try:
-            if recorded is None:
-                self._make_room(shot)
-            self._write(shot, values)
-            self._count(schema.N_COMMITTED, self.n_committed + 1)
-        except _WRITE_ERRORS as error:
-            raise DatasetError(
-                f"{self.path}: shot {shot.shot_id} could not be written: {error};"
-                f" the {self.n_committed} shots before it are safe"
-            ) from error
-        self._shot_ids.add(shot.shot_id)
+        values[schema.SUPERSEDES] = np.array(
+            self._row_of.get(shot.shot_id, schema.NO_ROW), schema.SUPERSEDES_COLUMN.dtype
+        )
+        with self._explained(
+            f"shot {shot.shot_id} could not be written",
+            f"; the {self.n_committed} shots before it are safe",
+        ):
+            images = self._images or self._first_images(shot)
+            self._write(images, shot, values)
+        self._row_of[shot.shot_id] = self._n_rows
+        self._n_rows += 1
 
     def finish(self, status: schema.FinalStatus, reason: str = "") -> None:
-        """Record how the campaign ended, and close the file.
+        """Record how the campaign ended, and close the files; without any shot, remove them.
 
         Raises:
             DatasetError: Already finished, an unknown status, or the disk does not take it.
@@ -191,110 +278,108 @@ class DatasetWriter:
             allowed = ", ".join(get_args(schema.FinalStatus))
             raise DatasetError(f"{self.path}: status '{status}' is not one of {allowed}")
         try:
-            # The file's own count: an interrupted commit may have counted its shot, and then it is
-            # complete.
-            n_rows = self._n_rows(schema.N_COMMITTED)
-            if n_rows < self._provenance.n_shots_planned:
-                skeleton.shrink_rows(self._file, n_rows)
-            if self._reflectors:
-                skeleton.shrink_drift(self._file, self._n_rows(schema.N_DRIFT_CHECKS))
-            dataset_at(self._file, "entry/recording/reason")[()] = reason.replace("\0", " ")
-            dataset_at(self._file, "entry/end_time")[()] = skeleton.utc_now()
-            self._sync()
-            dataset_at(self._file, "entry/recording/status")[()] = status
-            self._sync()
+            if self._n_rows:
+                self._write_ending(status, reason)
         except _WRITE_ERRORS as error:
             raise DatasetError(f"{self.path}: could not be finished: {error}") from error
         finally:
             self._close()
 
     def _check_open(self) -> None:
-        if not self._file:
+        if not self._master.is_open:
             raise DatasetError(f"{self.path}: is finished; nothing more can be written to it")
 
-    def _check_plan(self, shot: ShotRecord) -> None:
-        if shot.shot_id in self._shot_ids:
+    def _check_plan(self, shot: ShotRecord, *, replaces: bool) -> None:
+        if shot.shot_id < 0:
+            raise DatasetError(f"{self.path}: shot {shot.shot_id}: ids begin at 0")
+        if shot.shot_id in self._row_of and not replaces:
             raise DatasetError(f"{self.path}: shot {shot.shot_id} is already committed")
-        if self.n_committed == self._provenance.n_shots_planned:
+        if self._n_rows == self._beginning.room:
             raise DatasetError(
                 f"{self.path}: shot {shot.shot_id} is one more than the"
-                f" {self._provenance.n_shots_planned} shots planned"
+                f" {self._beginning.room} shots planned"
             )
 
-    def _make_room(self, shot: ShotRecord) -> None:
-        """Create the stacks of images and masks: the type of the images is known only now."""
-        per_shot = shot.frame.image.nbytes + shot.mask.size
-        self._probe_room(per_shot * self._provenance.n_shots_planned)
-        skeleton.create_images(self._file, shot.frame.image.dtype, self._provenance)
-        self._sync()
+    def _first_images(self, shot: ShotRecord) -> ImageWriter:
+        """Make the structure for images: their type is known only now."""
+        dtype = shot.frame.image.dtype.newbyteorder("<")
+        shape, room = self._beginning.shape, self._beginning.room
+        if self._segment_shots is None:
+            n_bytes = room * (shot.frame.image.nbytes + shot.mask.size)
+            with self._master.structure(n_bytes) as file:
+                skeleton.create_images(file, n_rows=room, shape=shape, dtype=dtype)
+            self._images = MasterImages(self._master, dtype)
+        else:
+            segments = plan_segments(self.path, (), n_rows=room, segment_shots=self._segment_shots)
+            with self._master.structure() as file:
+                skeleton.show_segments(file, segments, shape=shape, dtype=dtype)
+            self._beginning = replace(self._beginning, segments=segments)
+            self._images = self._segment_images(dtype)
+        return self._images
 
-    def _probe_room(self, n_bytes: int) -> None:
-        """Find out whether the file may grow so far before HDF5 tries: it would leave a ruin.
+    def _segment_images(self, dtype: np.dtype) -> SegmentImages:
+        return SegmentImages(
+            self.path,
+            self._beginning.segments,
+            uuid=self._beginning.uuid,
+            shape=self._beginning.shape,
+            dtype=dtype,
+        )
 
-        Raises:
-            OSError: The disk is too small, or the operating system refuses.
-        """
-        free = shutil.disk_usage(self.path.parent).free
-        if free < n_bytes:
-            text = f"{n_bytes / 1e6:.0f} MB needed, only {free / 1e6:.0f} MB free; free some space"
-            raise OSError(errno.ENOSPC, text)
-        size = self.path.stat().st_size
-        os.ftruncate(self._file.id.get_vfd_handle(), size + n_bytes + _STRUCTURE_BYTES)
-        os.ftruncate(self._file.id.get_vfd_handle(), size)
-
-    def _write(self, shot: ShotRecord, values: Values) -> None:
-        row = self.n_committed
-        image = np.ascontiguousarray(shot.frame.image, dtype=self._row(schema.IMAGE).dtype)
-        mask = np.ascontiguousarray(shot.mask, dtype=np.uint8)
-        for path, array in ((schema.IMAGE, image), (schema.MASK, mask)):
-            # Written past HDF5's cache: on a full disk nothing stays in there that would fail again
-            # when the file is closed.
-            self._row(path).id.write_direct_chunk((row, 0, 0), array)
+    def _write(self, images: ImageWriter, shot: ShotRecord, values: Values) -> None:
+        row = self._n_rows
+        image = np.ascontiguousarray(shot.frame.image, dtype=images.dtype)
+        mask = np.ascontiguousarray(shot.mask).view(np.uint8)
+        is_sync_due = self._is_sync_due()
+        images.write(row, image, mask)
+        if is_sync_due:
+            images.sync()
         checksums = {
             schema.IMAGE_CRC32: schema.checksum([image]),
             schema.MASK_CRC32: schema.checksum([mask]),
-            schema.VALUES_CRC32: schema.checksum(values.values()),
+            schema.VALUES_CRC32: schema.checksum(values[path] for path in schema.VALUES_ORDER),
         }
         for path, value in {**values, **checksums}.items():
-            self._row(path)[row] = value
+            self._master.write_row(path, row, value)
+        self._master.write(schema.N_COMMITTED, row + 1)
+        if not self._master.is_published:
+            self._master.publish()
+        elif is_sync_due:
+            self._master.sync()
+        self._note_sync(is_done=is_sync_due)
 
-    def _count(self, path: str, n: int) -> None:
-        """Set a journal's counter, once its row is in the hands of the operating system."""
-        self._file.flush()
-        self._row(path)[()] = n
-        self._file.flush()
+    def _is_sync_due(self) -> bool:
+        return (
+            not self._master.is_published
+            or self._n_unsynced >= _SYNC_EVERY_ROWS
+            or time.monotonic() - self._synced_s >= _SYNC_EVERY_S
+        )
 
-    def _n_rows(self, counter: str) -> int:
-        return int(self._row(counter)[()])
+    def _note_sync(self, *, is_done: bool) -> None:
+        if is_done:
+            self._n_unsynced, self._synced_s = 0, time.monotonic()
+        else:
+            self._n_unsynced += 1
 
-    def _row(self, path: str) -> h5py.Dataset:
-        if path not in self._rows:
-            self._rows[path] = dataset_at(self._file, path)
-        return self._rows[path]
+    def _write_ending(self, status: schema.FinalStatus, reason: str) -> None:
+        if self._images is not None:
+            self._images.sync()
+        self._master.write(schema.REASON, skeleton.shortened(reason, skeleton.REASON_BYTES))
+        self._master.write(schema.END_TIME, skeleton.utc_now().encode())
+        self._master.write(schema.STATUS, status.encode())
+        if self._master.is_published:
+            self._master.sync()
+        else:
+            self._master.publish()
 
-    def _sync(self) -> None:
-        """Hand everything to the operating system, and have it put on the disk.
-
-        Not for every shot: a flush is enough against a kill, and this costs tens of milliseconds.
-        """
-        self._file.flush()
-        os.fsync(self._file.id.get_vfd_handle())
+    @contextmanager
+    def _explained(self, what: str, more: str = "") -> Generator[None]:
+        try:
+            yield
+        except _WRITE_ERRORS as error:
+            raise DatasetError(f"{self.path}: {what}: {error}{more}") from error
 
     def _close(self) -> None:
-        try:
-            self._file.close()
-        except _WRITE_ERRORS as error:
-            raise DatasetError(f"{self.path}: could not be closed properly: {error}") from error
-
-
-def _create(path: Path) -> h5py.File:
-    try:
-        return h5py.File(path, "x")
-    except FileExistsError as error:
-        raise DatasetError(
-            f"{path}: exists already and is never overwritten; choose another --out"
-        ) from error
-    except FileNotFoundError as error:
-        raise DatasetError(f"{path}: the directory {path.parent} does not exist") from error
-    except OSError as error:
-        raise DatasetError(f"{path}: cannot be created: {error}") from error
+        if self._images is not None:
+            self._images.close()
+        self._master.close()

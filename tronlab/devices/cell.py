@@ -5,7 +5,7 @@ Nothing here is ground truth or takes part in calibration. Shapes are generous e
 
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from tronlab.devices.laboratory import NotNegative, Positive, Vector
 from tronlab.yaml_models import Model
@@ -34,16 +34,24 @@ class EnvelopeSpec(Model):
 
 
 class SightSpec(Model):
-    """What the tracker can see of the T-MAC: the Leica T-MAC's data sheet by default."""
+    """What the tracker can see of the T-MAC; how far and how wide is a Leica T-MAC's by default."""
 
     tmac_half_angle_deg: Annotated[float, Field(gt=0, le=180)] = 45.0
-    """The beam may come from so far off the T-MAC's axis, which is ``tmac_axis``."""
-    tmac_axis: Vector = (0.0, 0.0, 1.0)
-    """Direction, frame tmac, in which the T-MAC looks."""
+    """The beam may come from so far off the direction in which the T-MAC looks."""
+    tmac_axis: Vector | None = None
+    """That direction, frame tmac, of any length; null: not known, so the angle is not checked."""
     range_m: tuple[Positive, Positive] = (1.5, 15.0)
     """Least and greatest distance of the T-MAC from the tracker."""
     beam_radius_m: NotNegative = 0.03
     """The line of sight must be free so far around."""
+
+    @model_validator(mode="after")
+    def _makes_sense(self) -> "SightSpec":
+        if self.tmac_axis is not None and not any(self.tmac_axis):
+            raise ValueError("tmac_axis: is zero, expected a direction")
+        if self.range_m[0] >= self.range_m[1]:
+            raise ValueError("range_m: the first value must be below the second")
+        return self
 
 
 class PaceSpec(Model):

@@ -107,6 +107,20 @@ class CameraModel:
             cy_px=self.cy_px - top_px,
         )
 
+    def scaled(self, width_px: int) -> "CameraModel":
+        """Give the model of the same view in fewer and larger pixels, so many in a row."""
+        height_px = max(1, round(self.height_px * width_px / self.width_px))
+        along_u, along_v = width_px / self.width_px, height_px / self.height_px
+        return replace(
+            self,
+            width_px=width_px,
+            height_px=height_px,
+            fx_px=self.fx_px * along_u,
+            fy_px=self.fy_px * along_v,
+            cx_px=(self.cx_px + 0.5) * along_u - 0.5,
+            cy_px=(self.cy_px + 0.5) * along_v - 0.5,
+        )
+
     def project(self, p_cam: ArrayLike) -> FloatArray:
         """Project points in front of the camera.
 

@@ -37,6 +37,8 @@ KR16_LIMITS_RAD: Final[Limits] = np.radians(
     [[-185, 185], [-155, 35], [-130, 154], [-350, 350], [-130, 130], [-350, 350]]
 )
 KR16_SPEED_RAD_PER_S: Final[FloatArray] = np.radians([156.0, 156, 156, 330, 330, 615])
+UPRIGHT_RAD: Final[FloatArray] = np.radians([0.0, -90.0, 90.0, 0.0, 0.0, 0.0])
+"""Upper arm up, forearm and flange level and ahead: near to how poses in front of it are held."""
 
 SINGULAR_RAD: Final = float(np.radians(1.0))
 """Nearer than this to where an axis is singular is near."""

@@ -85,14 +85,14 @@ def make_plan(poses: Sequence[RigidTransform], *, mounting: Mounting) -> Plan:
     return Plan(shots=tuple(shots))
 
 
-def check_reach(plan: Plan, robot: Robot) -> None:
+def check_reach(shots: Sequence[Shot], robot: Robot) -> None:
     """Ask the robot about every target, before anything moves.
 
     Raises:
         PlanError: Every shot the robot cannot reach, with its reason.
     """
     refusals: list[str] = []
-    for shot in plan.shots:
+    for shot in shots:
         try:
             robot.check(shot.robot_target)
         except LimitError as error:
@@ -101,7 +101,7 @@ def check_reach(plan: Plan, robot: Robot) -> None:
         raise PlanError(
             "\n".join(
                 [
-                    f"{len(refusals)} of {len(plan.shots)} shots cannot be reached:",
+                    f"{len(refusals)} of {len(shots)} shots cannot be reached:",
                     *refusals,
                     "change the trajectory of the campaign, or the limits or mounting of the rig",
                 ]

@@ -81,6 +81,11 @@ class Page:
 
 def render_page(page: Page) -> str:
     """Write the page as HTML; every text is escaped."""
+    return render_template("report.html.j2", page)
+
+
+def render_template(name: str, page: object) -> str:
+    """Fill a template of this package with what it calls ``page``; every text is escaped."""
     environment = Environment(
         loader=PackageLoader("tronlab.report", "."),
         autoescape=True,
@@ -89,7 +94,7 @@ def render_page(page: Page) -> str:
         lstrip_blocks=True,
     )
     environment.filters["keep_units_whole"] = _keep_units_whole
-    return environment.get_template("report.html.j2").render(page=page)
+    return environment.get_template(name).render(page=page)
 
 
 def _keep_units_whole(heading: str) -> str:

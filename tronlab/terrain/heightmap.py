@@ -1,6 +1,6 @@
 """The height map of a terrain model, placed in F_TRS."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,8 @@ class HeightMap:
     spacing_m: float
     origin_trs_m: FloatArray
     """Where node (0, 0) would lie at height 0, shape (3,)."""
+    mean_height_trs_m: float = field(init=False, repr=False, compare=False)
+    """Z_TRS of the mean height: where the flat outline of the model is taken to lie."""
 
     def __post_init__(self) -> None:
         if self.height_m.ndim != 2 or min(self.height_m.shape) < 2:
@@ -36,6 +38,8 @@ class HeightMap:
             raise TerrainError(f"height map: {n_bad} samples are not finite; fill the holes first")
         if not self.spacing_m > 0:
             raise TerrainError(f"height map: spacing is {self.spacing_m} m, must be positive")
+        mean_m = self.height_m.mean(dtype=np.float64)  # once: every mask of a run needs it
+        object.__setattr__(self, "mean_height_trs_m", float(self.origin_trs_m[2] + mean_m))
 
     @property
     def size_m(self) -> tuple[float, float]:
@@ -47,8 +51,3 @@ class HeightMap:
     def relief_m(self) -> float:
         """Get the difference between the highest and the lowest sample."""
         return float(self.height_m.max() - self.height_m.min())
-
-    @property
-    def mean_height_trs_m(self) -> float:
-        """Get Z_TRS of the mean height: where the flat outline of the model is taken to lie."""
-        return float(self.origin_trs_m[2] + self.height_m.mean(dtype=np.float64))

@@ -19,7 +19,18 @@ NotNegative = Annotated[float, Field(ge=0)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Five = tuple[float, float, float, float, float]
 
-ErrorKind = Literal["tracking_lost", "timeout", "fault", "moved"]
+ErrorKind = Literal[
+    "tracking_lost",
+    "timeout",
+    "lost",
+    "fault",
+    "not_ready",
+    "unsafe",
+    "incomplete_frame",
+    "moved",
+    "door_open",
+    "dimmed",
+]
 
 CALLS: dict[str, tuple[str, ...]] = {
     "robot": ("connect", "identify", "check", "move", "read", "stop"),
@@ -172,7 +183,8 @@ class RoomConfig(Model):
 class FaultSpec(Model):
     """A fault that strikes the n-th call of a device's method; the call does nothing then.
 
-    Only a tracker that was ``moved`` measures all the same, from where it stands now.
+    What happens to the laboratory lets the call go on: the tracker was ``moved``, the door stands
+    open (``door_open``), the lamp is ``dimmed``. Door and lamp are as before after ``times`` calls.
     """
 
     device: Literal["robot", "tracker", "camera", "room", "operator"]
@@ -185,6 +197,8 @@ class FaultSpec(Model):
     error: ErrorKind
     moved_m: Vector = (0.0, 0.0, 0.0)
     """For ``moved``: how far, in trs; anew at every call it strikes."""
+    lamp_level: Annotated[float, Field(ge=0, lt=1)] | None = None
+    """For ``dimmed``: part of the lamp's full light that is left."""
 
     @model_validator(mode="after")
     def _device_has_the_call(self) -> "FaultSpec":
@@ -195,8 +209,12 @@ class FaultSpec(Model):
             raise ValueError("error: tracking_lost strikes measure_point and measure_pose only")
         if self.error == "moved" and self.device != "tracker":
             raise ValueError("error: only the tracker can be moved")
+        if self.error == "incomplete_frame" and self.call != "grab":
+            raise ValueError("error: incomplete_frame strikes grab only")
         if (self.error == "moved") != any(self.moved_m):
             raise ValueError("moved_m: says how far for error: moved, and for no other")
+        if (self.error == "dimmed") != (self.lamp_level is not None):
+            raise ValueError("lamp_level: says how much for error: dimmed, and for no other")
         return self
 
 

@@ -4,7 +4,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Annotated, TypeVar
 
-import numpy as np
 from numpy.random import Generator
 from pydantic import AfterValidator
 
@@ -16,14 +15,16 @@ from tronlab.devices.readings import (
     Frame,
     PointReading,
     PoseReading,
+    Posture,
     RobotReading,
     RobotTarget,
     RoomReading,
 )
 from tronlab.devices.registry import CLOCK_KEY, DeviceContext
 from tronlab.errors import ConfigError, DeviceTimeoutError, LimitError, NotConnectedError
+from tronlab.kinematics.kr16 import UPRIGHT_RAD, axes_for
 from tronlab.twin.instruments import CameraOptics, Positioning, TrackerOptics, noise_of
-from tronlab.twin.reach import check_reach
+from tronlab.twin.reach import move_duration_s, posture_at
 from tronlab.twin.sensor import HIGHEST_CODE
 from tronlab.twin.server import RemoteState
 from tronlab.twin.truth import deviate
@@ -96,22 +97,33 @@ class TwinRobot(_View):
     def __init__(self, context: DeviceContext) -> None:
         super().__init__(context)
         self._positioning = Positioning(self._world, self._rng)
+        self._posture: Posture | None = None
 
     def check(self, target: RobotTarget) -> None:
         """Return if the target can be reached."""
         self._begin("check")
-        self._check(target, call="check")
+        self._stand_at(target, near=self._posture, call="check")
+
+    def posture_for(self, target: RobotTarget, *, near: Posture | None = None) -> Posture:
+        """Choose how to stand at a target, with the least motion from ``near``, or from upright."""
+        return self._stand_at(target, near=near, call="posture_for")
+
+    def move_duration_s(self, start: Posture, end: Posture) -> float:
+        """Give how long ``move`` takes from one posture to another."""
+        return move_duration_s(start, end, self._world.config.robot)
 
     def move(self, target: RobotTarget, *, timeout_s: float) -> None:
         """Move there; a move that would take longer than allowed is not begun."""
         self._begin("move")
-        self._check(target, call="move")
-        duration_s = self._duration_s(target)
+        start = self._posture_now()
+        end = self._stand_at(target, near=start, call="move")
+        duration_s = self.move_duration_s(start, end)
         if duration_s > timeout_s:
             raise DeviceTimeoutError(
                 f"move: takes {duration_s:.1f} s, allowed {timeout_s:.1f} s", device=self.name
             )
         self._world.stand_robot(target, actual=self._positioning.actual(target))
+        self._posture = end
         self._world.clock.advance(duration_s)
 
     def read(self) -> RobotReading:
@@ -131,19 +143,20 @@ class TwinRobot(_View):
     def _maker_and_model(self) -> tuple[str, str]:
         return "KUKA", "KR 16"
 
-    def _check(self, target: RobotTarget, *, call: str) -> None:
+    def _stand_at(self, target: RobotTarget, *, near: Posture | None, call: str) -> Posture:
         rail_range_m = self._world.spec.mounting.rail_range_m
-        check_reach(target, rail_range_m=rail_range_m, device=self.name, call=call)
+        return posture_at(target, near=near, rail_range_m=rail_range_m, device=self.name, call=call)
 
-    def _duration_s(self, target: RobotTarget) -> float:
-        config, at = self._world.config.robot, self._world.robot_at
-        arm_m = np.linalg.norm(
-            target.base_from_flange.translation - at.base_from_flange.translation
+    def _posture_now(self) -> Posture:
+        """Give the posture of the last move, or a likely one if somebody else moved the robot."""
+        at = self._world.robot_at
+        axes_rad = axes_for(
+            at.base_from_flange,
+            UPRIGHT_RAD if self._posture is None else self._posture.axes_rad,
+            device=self.name,
+            call="move",
         )
-        return max(
-            abs(target.rail_m - at.rail_m) / config.rail_speed_m_per_s,
-            float(arm_m) / config.arm_speed_m_per_s,
-        )
+        return Posture(at.rail_m, axes_rad)
 
 
 class TwinTracker(_View):

@@ -1,30 +1,26 @@
-"""What the simulated robot can reach: the rail's ends, and a rough model of the KR 16's arm.
-
-The wrist centre must lie between two spheres about the shoulder, which turns with the first axis.
-Lengths are the KR 16's: shoulder 0.26 m out and 0.675 m up, links of 0.68 m and 0.671 m, flange
-0.158 m beyond the wrist centre, so that the wrist centre reaches 1.61 m from the first axis. Limits
-of the single axes and collisions are not modelled.
-"""
+"""How the simulated robot stands and moves: a KR 16 on a rail, by its own kinematics and limits."""
 
 import numpy as np
 
-from tronlab.devices.readings import RobotTarget
+from tronlab.devices.readings import Posture, RobotTarget
 from tronlab.errors import LimitError
-
-SHOULDER_OUT_M = 0.26
-SHOULDER_UP_M = 0.675
-WRIST_TO_FLANGE_M = 0.158
-WRIST_RANGE_M = (0.31, 1.351)
-"""From shoulder to wrist centre: elbow bent as far as it goes, and arm stretched."""
+from tronlab.kinematics.kr16 import KR16_SPEED_RAD_PER_S, UPRIGHT_RAD, axes_for, forward
+from tronlab.twin.config import RobotConfig
 
 
-def check_reach(
-    target: RobotTarget, *, rail_range_m: tuple[float, float], device: str, call: str
-) -> None:
-    """Return if rail and arm reach the target.
+def posture_at(
+    target: RobotTarget,
+    *,
+    near: Posture | None,
+    rail_range_m: tuple[float, float],
+    device: str,
+    call: str,
+) -> Posture:
+    """Choose how to stand at a target, with the least motion from ``near``, or from upright.
 
     Raises:
-        LimitError: They do not; the message has the limit, the value and what is allowed.
+        LimitError: Rail or arm do not reach it; the message has the limit, the value and what is
+            allowed.
     """
     low, high = rail_range_m
     if not low <= target.rail_m <= high:
@@ -33,18 +29,21 @@ def check_reach(
             " choose poses nearer to or farther from the model",
             device=device,
         )
-    distance_m = wrist_distance_m(target)
-    near, far = WRIST_RANGE_M
-    if not near <= distance_m <= far:
-        raise LimitError(
-            f"{call}: arm's wrist centre is {distance_m:.4f} m from the shoulder,"
-            f" allowed {near:.4f} to {far:.4f} m; choose poses nearer to the middle of the model",
-            device=device,
-        )
+    start_rad = UPRIGHT_RAD if near is None else near.axes_rad
+    axes_rad = axes_for(target.base_from_flange, start_rad, device=device, call=call)
+    return Posture(target.rail_m, axes_rad)
 
 
-def wrist_distance_m(target: RobotTarget) -> float:
-    """Give the distance from the shoulder to the wrist centre."""
-    wrist = target.base_from_flange.apply([0.0, 0.0, -WRIST_TO_FLANGE_M])
-    out = float(np.hypot(wrist[0], wrist[1])) - SHOULDER_OUT_M
-    return float(np.hypot(out, wrist[2] - SHOULDER_UP_M))
+def move_duration_s(start: Posture, end: Posture, config: RobotConfig) -> float:
+    """Give how long a move takes: as long as the slowest of rail, flange and single axes.
+
+    Rail and flange have the speeds of the world's description, axes their highest; what it takes to
+    speed up and to come to rest is in those.
+    """
+    flange_m = forward(end.axes_rad).translation - forward(start.axes_rad).translation
+    turns_rad = np.abs(end.axes_rad - start.axes_rad)
+    return max(
+        abs(end.rail_m - start.rail_m) / config.rail_speed_m_per_s,
+        float(np.linalg.norm(flange_m)) / config.arm_speed_m_per_s,
+        float((turns_rad / KR16_SPEED_RAD_PER_S).max()),
+    )

@@ -58,7 +58,7 @@ class World:
         self.config = setup.config
         self.spec = setup.laboratory
         self.clock: Clock = clock or SimulatedClock(setup.config.start_time_s)
-        self.faults = FaultScript(setup.config.faults, move_tracker=self.move_tracker)
+        self.faults = FaultScript(setup.config.faults, laboratory=self)
         self.laboratory: TrueLaboratory = build_laboratory(self.spec, self.config)
         self.serial = serial_number(self.spec, self.config)
         self.state: StateStore = state or LocalState(initial_state(setup))
@@ -86,6 +86,14 @@ class World:
         """Push the tracker, as someone might who trips over its stand; shift in trs."""
         x, y, z = np.array(self.state.read().tracker_shift_m) + np.array(shift_m)
         self.state.change(tracker_shift_m=(float(x), float(y), float(z)))
+
+    def open_door(self, *, is_open: bool) -> None:
+        """Open the door, or close it."""
+        self.state.change(is_door_closed=not is_open)
+
+    def dim_lamp(self, level: float) -> None:
+        """Let the lamp give this part of its full light."""
+        self.state.change(lamp_level=level)
 
     def place_board(self, trs_from_board: RigidTransform | None) -> None:
         """Put the board there, or take it away."""

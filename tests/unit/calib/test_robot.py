@@ -20,7 +20,7 @@ from tronlab.errors import CalibrationError, DegenerateGeometryError
 from tronlab.geometry.poses import pose_along_boresight
 from tronlab.geometry.uncertainty import perturb, pose_difference
 from tronlab.twin.instruments import Positioning, TrackerOptics
-from tronlab.twin.reach import check_reach
+from tronlab.twin.reach import posture_at
 from tronlab.twin.world import World, WorldSetup
 
 TWIN_YAML = Path(__file__).parents[3] / "campaigns/rigs/twin.yaml"
@@ -311,7 +311,8 @@ def _measured_robot(rig, seed: int):
 
 
 def drive(world: World, positioning: Positioning, target: RobotTarget) -> None:
-    check_reach(target, rail_range_m=world.spec.mounting.rail_range_m, device="robot", call="check")
+    rail_range_m = world.spec.mounting.rail_range_m
+    posture_at(target, near=None, rail_range_m=rail_range_m, device="robot", call="check")
     world.stand_robot(target, actual=positioning.actual(target))
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from recorded_session import RecordedSession
 from records import make_record, make_results
 from scipy.spatial.transform import RigidTransform
 
@@ -14,6 +15,7 @@ from tronlab.calib.record import CalibrationRecord
 from tronlab.campaign.config import CampaignConfig
 from tronlab.campaign.drift import open_watch
 from tronlab.campaign.shot import ShotTaker, TruthSource
+from tronlab.devices.clock import SimulatedClock
 from tronlab.devices.laboratory import ReflectorsSpec
 from tronlab.devices.readings import (
     AirReading,
@@ -155,6 +157,7 @@ def devices(laboratory: Laboratory) -> Devices:
         camera=FakeCamera(laboratory, "camera"),
         room=FakeRoom(laboratory, "room"),
         operator=FakeOperator(laboratory, "operator"),
+        clock=SimulatedClock(0.0),
     )
 
 
@@ -201,19 +204,6 @@ def heightmap() -> HeightMap:
     return HeightMap(np.zeros((5, 5), np.float32), 0.5, np.array([-1.0, -1.0, 0.0]))
 
 
-class FakeTime:
-    """Time that passes only by sleeping."""
-
-    def __init__(self) -> None:
-        self.now_s = 0.0
-
-    def sleep(self, duration_s: float) -> None:
-        self.now_s += duration_s
-
-    def monotonic_s(self) -> float:
-        return self.now_s
-
-
 @pytest.fixture
 def taker(
     devices: Devices,
@@ -221,14 +211,11 @@ def taker(
     calibration: CalibrationRecord,
     heightmap: HeightMap,
 ) -> ShotTaker:
-    clock = FakeTime()
     return ShotTaker(
         devices=devices,
         config=config,
         truth_source=TruthSource(calibration, heightmap, FlatGround()),
         drift_watch=open_watch(devices.tracker, calibration, config.drift, advice="measure anew"),
-        sleep=clock.sleep,
-        monotonic_s=clock.monotonic_s,
     )
 
 
@@ -245,3 +232,8 @@ def plan() -> Plan:
             for shot_id in (1, 2, 3, 4)
         )
     )
+
+
+@pytest.fixture
+def session(taker: ShotTaker, plan: Plan) -> RecordedSession:
+    return RecordedSession(taker, plan)

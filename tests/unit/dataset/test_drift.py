@@ -45,7 +45,7 @@ def test_a_shot_is_as_good_as_the_checks_beside_it(
     make_drift: MakeDrift, checks: Sequence[tuple[int, bool]], expected: list[str]
 ) -> None:
     records = [make_drift(n, is_within=is_within) for n, is_within in checks]
-    assert list(truth_states(4, records)) == expected
+    assert list(truth_states(range(4), [1] * 4, records, {1: "record"})) == expected
 
 
 def test_doubts_name_their_shots_as_spans() -> None:
@@ -56,10 +56,13 @@ def test_doubts_name_their_shots_as_spans() -> None:
     assert unchecked.startswith("truth of shots 20 is unchecked: ")
 
 
-def test_checks_come_back_as_they_were(writer: DatasetWriter, make_drift: MakeDrift) -> None:
-    given = [make_drift(0), make_drift(2, is_within=False)]
-    for check in given:
-        writer.commit_drift(check)
+def test_checks_come_back_as_they_were(
+    writer: DatasetWriter, make_drift: MakeDrift, make_shot: Callable[..., ShotRecord]
+) -> None:
+    given = [make_drift(0), make_drift(1, is_within=False)]
+    writer.commit_drift(given[0])
+    writer.commit(make_shot(0))
+    writer.commit_drift(given[1])
     writer.finish("aborted")
     with Dataset(writer.path) as dataset:
         found = dataset.drift_checks
@@ -109,11 +112,21 @@ def test_a_killed_run_keeps_its_checks_and_its_last_shots_are_unchecked(
         assert dataset.truth_states == (G, U)
 
 
-def test_a_check_cut_short_is_not_counted(writer: DatasetWriter, make_drift: MakeDrift) -> None:
+def test_a_check_cut_short_is_not_counted(
+    writer: DatasetWriter,
+    make_drift: MakeDrift,
+    make_shot: Callable[..., ShotRecord],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
     writer.commit_drift(make_drift(0))
-    writer._count = lambda path, n: (_ for _ in ()).throw(KeyboardInterrupt)  # pyright: ignore
-    with pytest.raises(KeyboardInterrupt):
-        writer.commit_drift(make_drift(2))
+    writer.commit(make_shot(0))
+    with monkeypatch.context() as patch:
+        patch.setattr(writer._master, "write", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            writer.commit_drift(make_drift(2))
     writer.finish("aborted")
     with Dataset(writer.path) as dataset:
         assert [check.n_shots_before for check in dataset.drift_checks] == [0]
@@ -169,11 +182,14 @@ def test_older_files_have_no_checks_and_are_valid(small_dataset: Path) -> None:
 
 
 def test_what_was_accepted_is_in_the_provenance(
-    tmp_path: Path, make_provenance: Callable[..., Provenance]
+    tmp_path: Path,
+    make_shot: Callable[..., ShotRecord],
+    make_provenance: Callable[..., Provenance],
 ) -> None:
     accepted = ("record.json: expired", "other camera")
-    with DatasetWriter(tmp_path / "c.h5", replace(make_provenance(), accepted=accepted)):
-        pass
+    provenance = replace(make_provenance(), accepted=accepted)
+    with DatasetWriter(tmp_path / "c.h5", provenance) as writer:
+        writer.commit(make_shot(0))
     with Dataset(tmp_path / "c.h5") as dataset:
         assert dataset.provenance.accepted == accepted
         assert json.loads(dataset.provenance.calibration_json)

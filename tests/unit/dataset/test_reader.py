@@ -102,12 +102,13 @@ reusing_tmp_path = settings(
     devices=st.dictionaries(names, texts, max_size=5),
 )
 def test_any_provenance_comes_back(
-    tmp_path: Path, make_provenance: MakeProvenance, **changes: Any
+    tmp_path: Path, make_shot: MakeShot, make_provenance: MakeProvenance, **changes: Any
 ) -> None:
     path = tmp_path / "a.h5"
     path.unlink(missing_ok=True)
     provenance = replace(make_provenance(1), **changes)
-    DatasetWriter(path, provenance).finish("failed")
+    with DatasetWriter(path, provenance) as writer:
+        writer.commit(make_shot(0))
     with Dataset(path) as dataset:
         assert dataset.provenance == provenance
 
@@ -143,12 +144,9 @@ def test_an_index_out_of_range_is_refused(small_dataset: Path, i: int) -> None:
                 read(i)
 
 
-def test_a_dataset_without_shots_can_be_read(
-    tmp_path: Path, make_provenance: MakeProvenance
-) -> None:
-    DatasetWriter(tmp_path / "a.h5", make_provenance()).finish("aborted", "operator")
-    with Dataset(tmp_path / "a.h5") as dataset:
-        assert (dataset.n_shots, dataset.image_dtype, dataset.truths()) == (0, None, ())
+def test_a_dataset_without_shots_can_be_read(empty_dataset: Path) -> None:
+    with Dataset(empty_dataset) as dataset:
+        assert (dataset.n_shots, dataset.truths()) == (0, ())
         assert dataset.references() == ()
         with pytest.raises(DatasetError, match="none, it holds no shots"):
             dataset.image(0)
@@ -225,19 +223,19 @@ def test_a_truncated_file(small_dataset: Path, part: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("version", "advice"), [("2.0", "install a newer tronlab"), ("0.9", "use an older tronlab")]
+    ("version", "advice"), [("3.0", "install a newer tronlab"), ("0.9", "use an older tronlab")]
 )
 def test_another_layout(small_dataset: Path, version: str, advice: str) -> None:
     set_attribute(small_dataset, "/", schema.SCHEMA_ATTRIBUTE, version)
-    message = rf"written in dataset layout {version}; .* reads layout 1\.x; {advice}"
+    message = rf"written in dataset layout {version}; .* reads layouts 1\.x to 2\.x; {advice}"
     with pytest.raises(SchemaVersionError, match=message):
         Dataset(small_dataset)
 
 
 def test_a_newer_minor_layout_is_read(small_dataset: Path) -> None:
-    set_attribute(small_dataset, "/", schema.SCHEMA_ATTRIBUTE, "1.99")
+    set_attribute(small_dataset, "/", schema.SCHEMA_ATTRIBUTE, "2.99")
     with Dataset(small_dataset) as dataset:
-        assert dataset.schema_version == "1.99"
+        assert dataset.schema_version == "2.99"
         assert dataset.n_shots == 5
 
 
@@ -253,14 +251,17 @@ def test_a_file_being_written(
     path = tmp_path / "a.h5"
     with DatasetWriter(path, make_provenance()) as writer:
         writer.commit(make_shot(0))
+        with Dataset(path) as dataset:
+            writer.commit(make_shot(1))
+            assert (dataset.n_shots, dataset.status) == (1, "running")
         with path.open("rb") as other, pytest.raises(BlockingIOError):
-            fcntl.flock(other, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
     with path.open("rb") as other:
         fcntl.flock(other, fcntl.LOCK_EX)
         with pytest.raises(DatasetError, match="is being written by another process; try again"):
             Dataset(path)
     with Dataset(path) as dataset:
-        assert dataset.n_shots == 1
+        assert dataset.n_shots == 2
 
 
 @pytest.mark.parametrize(

@@ -49,8 +49,6 @@ def test_the_default_chain_leads_to_the_images(small_dataset: Path) -> None:
         assert plot.attrs["NX_class"] == "NXdata"
         signal = plot[plot.attrs["signal"]]
         assert signal.shape == (5, 48, 64)
-        assert signal.chunks == (1, 48, 64)
-        assert signal.compression is None
         axes = list(plot.attrs["axes"])
         assert len(axes) == signal.ndim
         assert plot[axes[0]].shape == signal.shape[:1]

@@ -221,35 +221,21 @@ def test_leaving_the_block_without_finish_leaves_it_running(
         assert (dataset.status, dataset.end_time, dataset.n_shots) == ("running", "", 1)
 
 
-class InterruptedSet(set[int]):
-    def add(self, element: int) -> None:
-        raise KeyboardInterrupt
-
-
 def test_ctrl_c_at_the_very_end_of_a_commit_leaves_a_consistent_file(
-    writer: DatasetWriter, make_shot: MakeShot
+    writer: DatasetWriter, make_shot: MakeShot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     writer.commit(make_shot(0))
-    writer._shot_ids = InterruptedSet(writer._shot_ids)
+    write = writer._write
+
+    def write_and_be_interrupted(*arguments: Any) -> None:
+        write(*arguments)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(writer, "_write", write_and_be_interrupted)
     with pytest.raises(KeyboardInterrupt):
         writer.commit(make_shot(1))
     writer.finish("aborted", "operator")
     assert committed_ids(writer.path) == [0, 1]
-
-
-def test_an_aborted_recording_gives_its_room_back(
-    tmp_path: Path, make_provenance: MakeProvenance, make_shot: MakeShot
-) -> None:
-    path = tmp_path / "a.h5"
-    with DatasetWriter(path, make_provenance(500)) as writer:
-        writer.commit(make_shot(0))
-        size_running = path.stat().st_size
-        writer.finish("aborted", "operator")
-    assert size_running > 500 * 2 * 64 * 48
-    assert path.stat().st_size < 0.3 * size_running
-    assert committed_ids(path) == [0]
-    with h5py.File(path) as file:
-        assert file["entry/data/image"].shape == (1, 48, 64)
 
 
 def test_a_write_error_names_path_and_shot_and_spares_the_shots_before(
@@ -276,22 +262,66 @@ def test_a_disk_too_small_for_the_plan_is_told_at_the_first_shot(
     writer: DatasetWriter, make_shot: MakeShot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     usage = type("Usage", (), {"free": 1000})
-    monkeypatch.setattr("tronlab.dataset.writer.shutil.disk_usage", lambda _: usage)
+    monkeypatch.setattr("tronlab.dataset.places.shutil.disk_usage", lambda _: usage)
     with pytest.raises(DatasetError, match=r"shot 0 could not be written.*0 MB free; free some"):
         writer.commit(make_shot(0))
     writer.finish("failed", "disk full")
-    assert committed_ids(writer.path) == []
+    assert list(writer.path.parent.iterdir()) == []
 
 
-def test_a_failing_reservation_leaves_a_readable_file(
-    writer: DatasetWriter, make_view: MakeView, monkeypatch: pytest.MonkeyPatch
+def test_a_refused_reservation_harms_nothing(
+    writer: DatasetWriter, make_view: MakeView, make_shot: MakeShot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tronlab.dataset.writer.os.ftruncate", _raise_no_space)
-    with pytest.raises(DatasetError, match="reference views could not be written"):
-        writer.add_references([make_view(0)])
-    writer.finish("failed")
-    assert committed_ids(writer.path) == []
+    with monkeypatch.context() as patch:
+        patch.setattr("tronlab.dataset.places.os.ftruncate", _raise_no_space)
+        with pytest.raises(DatasetError, match="reference views could not be written"):
+            writer.add_references([make_view(0)])
+    writer.add_references([make_view(0)])
+    writer.commit(make_shot(0))
+    writer.finish("aborted")
+    assert committed_ids(writer.path) == [0]
 
 
 def _raise_no_space(*_: object) -> None:
     raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_a_recording_without_shots_leaves_nothing(
+    tmp_path: Path, make_provenance: MakeProvenance, make_view: MakeView
+) -> None:
+    path = tmp_path / "a.h5"
+    for ending in ("failed", "aborted", None):
+        with DatasetWriter(path, make_provenance(), segment_shots=2) as writer:
+            writer.add_references([make_view(0)])
+            if ending:
+                writer.finish(ending)
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_the_file_has_its_name_with_the_first_shot(
+    writer: DatasetWriter, make_shot: MakeShot
+) -> None:
+    assert not writer.path.exists()
+    writer.commit(make_shot(0))
+    assert committed_ids(writer.path) == [0]
+    writer.finish("aborted")
+
+
+def test_structure_is_fixed_once_there_are_shots(
+    writer: DatasetWriter, make_shot: MakeShot, make_view: MakeView
+) -> None:
+    writer.commit(make_shot(0))
+    with pytest.raises(DatasetError, match="has shots already; its structure is fixed"):
+        writer.add_references([make_view(0)])
+    writer.commit(make_shot(1))
+    writer.finish("aborted")
+    assert committed_ids(writer.path) == [0, 1]
+
+
+def test_a_long_reason_is_shortened_at_a_whole_character(
+    writer: DatasetWriter, make_shot: MakeShot
+) -> None:
+    writer.commit(make_shot(0))
+    writer.finish("failed", "µ" * 5000)
+    with Dataset(writer.path) as dataset:
+        assert dataset.reason == "µ" * 2046 + " ..."

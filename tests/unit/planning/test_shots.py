@@ -110,7 +110,7 @@ class ShortArm:
 def test_all_unreachable_shots_are_listed() -> None:
     plan = make_plan(poses(4), mounting=MOUNTING.nominal)
     with pytest.raises(PlanError) as caught:
-        check_reach(plan, ShortArm())  # pyright: ignore[reportArgumentType]
+        check_reach(plan.shots, ShortArm())  # pyright: ignore[reportArgumentType]
     lines = str(caught.value).splitlines()
     assert lines[0] == "2 of 4 shots cannot be reached:"
     assert [line.split(":")[0] for line in lines[1:3]] == ["  shot 3", "  shot 4"]

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import chi2
 
 from tronlab.devices.readings import RobotTarget
-from tronlab.devices.registry import KINDS, DeviceContext, Devices
+from tronlab.devices.registry import CLOCK_KEY, KINDS, DeviceContext, Devices
 from tronlab.errors import (
     ConfigError,
     DeviceFaultError,
@@ -425,4 +425,4 @@ def test_devices_of_one_rig_share_one_world(setup):
     robot = open_robot(DeviceContext("robot", {}, seed=1, world=setup, shared=shared))
     tracker = open_tracker(DeviceContext("tracker", {}, seed=1, world=setup, shared=shared))
     assert robot._world is tracker._world
-    assert len(shared) == 1
+    assert shared[CLOCK_KEY] is robot._world.clock

@@ -1,13 +1,38 @@
 import pytest
+from pydantic import ValidationError
 
-from tronlab.errors import DeviceFaultError, DeviceTimeoutError, TrackingLostError
+from tronlab.errors import (
+    DeviceError,
+    DeviceFaultError,
+    DeviceTimeoutError,
+    IncompleteFrameError,
+    NotConnectedError,
+    NotReadyError,
+    SafetyError,
+    TrackingLostError,
+)
 from tronlab.twin.config import FaultSpec
 from tronlab.twin.faults import FaultScript
 
 
-def script_of(*faults: FaultSpec, moves: list[object] | None = None) -> FaultScript:
-    """Make a script that notes where the tracker is moved."""
-    return FaultScript(faults, move_tracker=([] if moves is None else moves).append)
+class Laboratory:
+    """Notes what happens to it."""
+
+    def __init__(self) -> None:
+        self.happened: list[object] = []
+
+    def move_tracker(self, shift_m: object) -> None:
+        self.happened.append(shift_m)
+
+    def open_door(self, *, is_open: bool) -> None:
+        self.happened.append("open" if is_open else "closed")
+
+    def dim_lamp(self, level: float) -> None:
+        self.happened.append(level)
+
+
+def script_of(*faults: FaultSpec, laboratory: Laboratory | None = None) -> FaultScript:
+    return FaultScript(faults, laboratory=laboratory or Laboratory())
 
 
 def strikes(script: FaultScript, device: str, call: str, *, n: int) -> list[int]:
@@ -16,7 +41,7 @@ def strikes(script: FaultScript, device: str, call: str, *, n: int) -> list[int]
     for i in range(1, n + 1):
         try:
             script.count(device, call, name=device)
-        except (DeviceFaultError, DeviceTimeoutError, TrackingLostError):
+        except DeviceError:
             failed.append(i)
     return failed
 
@@ -34,25 +59,59 @@ def test_fault_strikes_several_times_in_a_row():
 
 
 @pytest.mark.parametrize(
-    ("error", "type_", "message"),
+    ("error", "device", "call", "type_", "message"),
     [
-        ("tracking_lost", TrackingLostError, r"AT901: measure_pose: the beam is broken"),
-        ("timeout", DeviceTimeoutError, r"AT901: measure_pose: no answer \(scripted, call 1\)"),
-        ("fault", DeviceFaultError, r"reports a fault \(scripted, call 1\) \(code 900\)"),
+        ("tracking_lost", "tracker", "measure_pose", TrackingLostError, "the beam is broken"),
+        ("timeout", "tracker", "measure_pose", DeviceTimeoutError, "no answer"),
+        ("lost", "camera", "grab", NotConnectedError, "the connection is lost"),
+        ("fault", "room", "read", DeviceFaultError, "the device reports a fault"),
+        ("not_ready", "robot", "move", NotReadyError, "the device is busy"),
+        ("unsafe", "robot", "move", SafetyError, "an emergency stop is pressed"),
+        ("incomplete_frame", "camera", "grab", IncompleteFrameError, "parts of the image are"),
     ],
 )
-def test_error_is_the_one_asked_for(error: str, type_: type[Exception], message: str):
-    fault = FaultSpec.model_validate(
-        {"device": "tracker", "call": "measure_pose", "at": 1, "error": error}
-    )
-    with pytest.raises(type_, match=message):
-        script_of(fault).count("tracker", "measure_pose", name="AT901")
+def test_error_is_the_one_asked_for(
+    error: str, device: str, call: str, type_: type[DeviceError], message: str
+):
+    fault = FaultSpec.model_validate({"device": device, "call": call, "at": 1, "error": error})
+    with pytest.raises(type_, match=rf"X1: {call}: {message}.* \(scripted, call 1\)") as caught:
+        script_of(fault).count(device, call, name="X1")
+    assert type(caught.value) is type_
 
 
 def test_a_tracker_is_moved_and_measures_all_the_same():
     fault = FaultSpec(
         device="tracker", call="measure_pose", at=2, times=2, error="moved", moved_m=(0, 1e-3, 0)
     )
-    moves: list[object] = []
-    assert strikes(script_of(fault, moves=moves), "tracker", "measure_pose", n=4) == []
-    assert moves == [(0, 1e-3, 0)] * 2
+    laboratory = Laboratory()
+    script = script_of(fault, laboratory=laboratory)
+    assert strikes(script, "tracker", "measure_pose", n=4) == []
+    assert laboratory.happened == [(0, 1e-3, 0)] * 2
+
+
+def test_door_and_lamp_are_as_before_after_so_many_calls():
+    door = FaultSpec(device="room", call="read", at=2, times=2, error="door_open")
+    lamp = FaultSpec(device="camera", call="grab", at=1, times=3, error="dimmed", lamp_level=0.7)
+    laboratory = Laboratory()
+    script = script_of(door, lamp, laboratory=laboratory)
+    seen: list[object] = []
+    for _ in range(4):
+        assert strikes(script, "room", "read", n=1) == []
+        seen.append(laboratory.happened[-1] if laboratory.happened else None)
+    assert seen == [None, "open", "open", "closed"]
+    assert strikes(script, "camera", "grab", n=4) == []
+    assert laboratory.happened[2:] == [0.7, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"call": "connect", "error": "incomplete_frame"}, "incomplete_frame strikes grab only"),
+        ({"call": "grab", "error": "dimmed"}, "lamp_level: says how much for error: dimmed"),
+        ({"call": "grab", "error": "fault", "lamp_level": 0.5}, "lamp_level: says how much"),
+        ({"call": "grab", "error": "dimmed", "lamp_level": 1.0}, "less than 1"),
+    ],
+)
+def test_a_script_that_makes_no_sense_is_refused(values: dict[str, object], message: str):
+    with pytest.raises(ValidationError, match=message):
+        FaultSpec.model_validate({"device": "camera", "at": 1} | values)

@@ -6,8 +6,8 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from drivers.kuka import kinematics
 from drivers.kuka.simulator.machine import KR16, Machine, axes_at, flange_at, flange_of, position_of
+from tronlab.kinematics import kr16
 
 POINTS = [  # axes; X Y Z mm; A B C deg: computed from the ROS-Industrial kr16_2 description
     ((0, 0, 0, 0, 0, 0), (1768, 0, 640), (0, 90, 0)),
@@ -38,7 +38,7 @@ def test_flange_is_where_the_robot_description_says(axes, xyz_mm, abc_deg):
 @given(within_limits)
 @settings(max_examples=50, deadline=None)
 def test_two_chains_written_apart_agree(axes_deg):
-    ours, theirs = flange_of(np.array(axes_deg)), kinematics.forward(np.radians(axes_deg))
+    ours, theirs = flange_of(np.array(axes_deg)), kr16.forward(np.radians(axes_deg))
     np.testing.assert_allclose(ours.as_matrix(), theirs.as_matrix(), atol=1e-12)
 
 

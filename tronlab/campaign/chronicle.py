@@ -1,0 +1,177 @@
+"""What becomes of everything that happens in a session: stored, written down, shown, told."""
+
+from collections.abc import Generator
+from contextlib import contextmanager, suppress
+from time import perf_counter
+
+from tronlab.campaign.config import NotifyEvent
+from tronlab.campaign.console import Abort, Decision, Note, Pause, Resume, Retake
+from tronlab.campaign.listener import RunListener
+from tronlab.campaign.live import Live
+from tronlab.campaign.notify import Notifier
+from tronlab.campaign.shot import ShotTaker
+from tronlab.campaign.stop import RunStoppedError
+from tronlab.campaign.suspension import Suspension
+from tronlab.dataset.journal import Journal
+from tronlab.dataset.records import Session, ShotRecord
+from tronlab.dataset.writer import DatasetWriter
+from tronlab.errors import DatasetError
+
+
+class CampaignInterrupted(KeyboardInterrupt):  # it is no error that a person stops
+    """The run was stopped by a person; the dataset is closed and readable."""
+
+
+class Chronicle:
+    """Keeps the dataset, its journal, the live view and the notify command in step."""
+
+    def __init__(
+        self,
+        writer: DatasetWriter,
+        journal: Journal,
+        live: Live,
+        notifier: Notifier,
+        *,
+        n_planned: int,
+    ) -> None:
+        self._writer = writer
+        self._journal = journal
+        self._live = live
+        self._notifier = notifier
+        self._n_planned = n_planned
+        self._write_s = 0.0
+        """How long the last shot took to write."""
+        self._skipped: dict[int, str] = {}
+
+    @property
+    def listener(self) -> RunListener:
+        """Get who listens to the engine."""
+        return RunListener(
+            on_shot=self._on_shot,
+            on_retry=self._on_retry,
+            on_skip=self._on_skip,
+            on_suspend=self._on_suspend,
+            on_resume=self._on_resume,
+            on_pause=self._on_pause,
+            on_decision=self._on_decision,
+        )
+
+    def commit(self, record: ShotRecord, replaces: bool) -> None:  # the engine's
+        """Store a shot; one that is in the dataset from an earlier session is replaced as well."""
+        begin_s = perf_counter()
+        self._writer.commit(
+            record, replaces=replaces or record.shot_id in self._writer.committed_ids
+        )
+        self._write_s = perf_counter() - begin_s
+
+    @contextmanager
+    def of_session(self, session: Session, taker: ShotTaker) -> Generator[None]:
+        """Write down how a session begins and ends; however it ends, the dataset says how."""
+        self._write(
+            "session",
+            f"session {session.number} ({session.kind}) begins",
+            session=session.number,
+            session_kind=session.kind,
+            accepted=list(session.accepted),
+        )
+        self._tell("begun", f"session {session.number} begins")
+        self._live.advance("shots", n_done=self._writer.n_committed, n_all=self._n_planned)
+        try:
+            yield
+        except (RunStoppedError, KeyboardInterrupt):
+            self._writer.finish("aborted", reason="stopped by the operator")
+            self._end("aborted", f"stopped: {self._so_far()}")
+            raise CampaignInterrupted(
+                f"stopped: {self._so_far()}; go on: {self._resume_command()}"
+            ) from None
+        except Exception as error:
+            with suppress(DatasetError):  # a full disk must not hide why the run failed
+                self._writer.finish("failed", reason=f"{taker.in_hand}: {error}")
+            self._end("failed", f"the run failed at {taker.in_hand}: {error}")
+            self._live.announce(
+                f"the run failed at {taker.in_hand}; {self._so_far()}; when the cause is mended"
+                f" go on: {self._resume_command()}"
+            )
+            raise
+        self._finish()
+
+    def _finish(self) -> None:
+        skipped = ", ".join(map(str, sorted(self._skipped)))
+        self._writer.finish("complete", reason=f"skipped: {skipped}" if skipped else "")
+        self._end("done", self._so_far())
+        self._live.announce(self._so_far())
+        if skipped:
+            self._live.announce(
+                f"skipped: {skipped}; take them later: tronlab run --retake"
+                f" {self._writer.path.parent} --failed"
+            )
+
+    def _so_far(self) -> str:
+        return f"{self._writer.n_committed} of {self._n_planned} shots are in {self._writer.path}"
+
+    def _resume_command(self) -> str:
+        return f"tronlab run --resume {self._writer.path.parent}"
+
+    def _on_shot(self, record: ShotRecord) -> None:
+        self._live.show_shot(record, write_s=self._write_s)
+        self._live.advance("shots", n_done=self._writer.n_committed, n_all=self._n_planned)
+        if record.quality is not None and record.quality.flags:
+            flags = ", ".join(record.quality.flags)
+            self._write("flagged", f"shot {record.shot_id}: {flags}", shot_id=record.shot_id)
+
+    def _on_retry(self, task: str, attempt: int, error: Exception) -> None:
+        text = f"{task}, attempt {attempt}: {error}"
+        self._live.announce(text)
+        self._write("retry", text, attempt=attempt, error=type(error).__name__)
+
+    def _on_skip(self, shot_id: int, why: str) -> None:
+        self._skipped[shot_id] = why
+        self._live.announce(f"shot {shot_id} is skipped: {why}")
+        self._write("skipped", f"shot {shot_id}: {why}", shot_id=shot_id)
+
+    def _on_suspend(self, suspension: Suspension) -> None:
+        self._live.announce(str(suspension))
+        self._live.state(f"suspended: {suspension.why}")
+        self._write("suspended", str(suspension), condition=suspension.condition)
+        self._tell("suspended", str(suspension))
+
+    def _on_resume(self, suspension: Suspension) -> None:
+        text = f"{suspension.task} goes on"
+        self._live.announce(text)
+        self._live.state("running")
+        self._write("resumed", text, condition=suspension.condition)
+        self._tell("resumed", text)
+
+    def _on_pause(self, pause: Pause) -> None:
+        self._live.state("paused")
+        self._write("paused", str(pause))
+
+    def _on_decision(self, decision: Decision) -> None:
+        match decision:
+            case Note(text=text):
+                self._write("note", text)
+            case Retake(shot_ids=shot_ids):
+                shots = ", ".join(map(str, shot_ids))
+                self._write("retaken", f"shots {shots} are taken again", shot_ids=list(shot_ids))
+                self._live.state("running")
+            case Resume():
+                self._write("resumed", "the operator lets the run go on")
+                self._live.state("running")
+            case Abort():
+                self._write("note", "the operator ends the run")
+
+    def _end(self, event: NotifyEvent, text: str) -> None:
+        self._write("finished", text, status=event)
+        self._tell(event, text)
+
+    def _write(self, kind: str, text: str, **fields: object) -> None:
+        """Append to the journal; what happens to the journal must not end the run."""
+        try:
+            self._journal.write(kind, text, **fields)
+        except DatasetError as error:
+            self._live.announce(f"not in the journal: {text} ({error})")
+
+    def _tell(self, event: NotifyEvent, text: str) -> None:
+        self._notifier.tell(
+            event, text, n_taken=self._writer.n_committed, n_planned=self._n_planned
+        )

@@ -1,0 +1,155 @@
+"""Going on with a dataset: what is in it, what is missing, and what shall be taken again."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from tronlab.campaign.job import Files
+from tronlab.dataset.location import DATASET_NAME
+from tronlab.dataset.reader import Dataset
+from tronlab.dataset.records import Session
+from tronlab.dataset.schema import CAMERA, Status
+from tronlab.errors import ConfigError, PlanError
+from tronlab.planning.shots import Plan, Shot
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """What a dataset says of itself before it goes on."""
+
+    path: Path
+    status: Status
+    sessions: tuple[Session, ...]
+    shot_ids: frozenset[int]
+    """Of the shots that are there."""
+    flagged_ids: frozenset[int]
+    """Of those, the ones a quality gate flagged."""
+    last_time_s: float
+    """When the last image was taken, seconds since 1970 UTC; 0 if there is none."""
+    has_drift_checks: bool
+
+    @property
+    def last_session(self) -> Session:
+        """Get the last session."""
+        return self.sessions[-1]
+
+
+def dataset_in(folder: Path) -> Path:
+    """Give the dataset of a folder, or of its file.
+
+    Raises:
+        ConfigError: There is none.
+    """
+    path = folder / DATASET_NAME if folder.is_dir() else folder
+    if not folder.exists():
+        raise ConfigError("no such folder", path=folder)
+    if not path.exists():
+        raise ConfigError(
+            "has no dataset: no shot was recorded in it; begin anew: tronlab run CAMPAIGN.yaml"
+            f" --out {folder}",
+            path=folder,
+        )
+    return path
+
+
+def read_recorded(path: Path) -> Recorded:
+    """Look what is in a dataset.
+
+    Raises:
+        ConfigError: It is none that can go on.
+        DatasetError: It cannot be read.
+    """
+    with Dataset(path) as dataset:
+        if not dataset.can_go_on:
+            raise ConfigError(
+                f"{path}: has no segments (it was packed, imported or computed anew, or is of an"
+                " older layout), so nothing can be added to it; record a new one:"
+                " tronlab run CAMPAIGN.yaml --out DIR"
+            )
+        times_s = dataset.rows(f"{CAMERA}/time_s")
+        return Recorded(
+            path=path,
+            status=dataset.status,
+            sessions=dataset.sessions,
+            shot_ids=frozenset(map(int, dataset.shot_ids)),
+            flagged_ids=frozenset(_flagged(dataset)),
+            last_time_s=float(times_s.max()) if times_s.size else 0.0,
+            has_drift_checks=bool(dataset.drift_checks),
+        )
+
+
+def files_of(session: Session, given: Files | None) -> Files:
+    """Give which files a dataset goes on with: those named now, else those of its last session.
+
+    Raises:
+        ConfigError: A file of the last session is not there any more.
+    """
+    recorded = {
+        "campaign": Path(session.campaign_path),
+        "rig": Path(session.rig_path),
+        "calibration": Path(session.calibration_path),
+    }
+    named = {name: given and getattr(given, name) for name in recorded}
+    for name, path in recorded.items():
+        if named[name] is None and not path.is_file():
+            raise ConfigError(
+                f"the {name} file of the recording is not there any more; name it:"
+                f" {_HOW_TO_NAME[name]}",
+                path=path,
+            )
+    return Files(**{name: named[name] or path for name, path in recorded.items()})
+
+
+_HOW_TO_NAME = {
+    "campaign": "tronlab run CAMPAIGN.yaml --resume DIR",
+    "rig": "--rig RIG.yaml",
+    "calibration": "--calibration RECORD.json",
+}
+
+
+def missing_shots(plan: Plan, recorded: Recorded) -> tuple[Shot, ...]:
+    """Give the shots of a plan that are not in the dataset."""
+    return tuple(shot for shot in plan.shots if shot.shot_id not in recorded.shot_ids)
+
+
+def failed_shots(plan: Plan, recorded: Recorded) -> tuple[Shot, ...]:
+    """Give the shots that are missing, and those a quality gate flagged."""
+    good = recorded.shot_ids - recorded.flagged_ids
+    return tuple(shot for shot in plan.shots if shot.shot_id not in good)
+
+
+def chosen_shots(plan: Plan, shot_ids: Sequence[int]) -> tuple[Shot, ...]:
+    """Give the shots of these ids, in the order of the plan.
+
+    Raises:
+        PlanError: The plan has no such shots.
+    """
+    planned = {shot.shot_id for shot in plan.shots}
+    if unknown := sorted(set(shot_ids) - planned):
+        raise PlanError(
+            f"no shots {', '.join(map(str, unknown))}; the plan has {min(planned)} to"
+            f" {max(planned)}"
+        )
+    return tuple(shot for shot in plan.shots if shot.shot_id in set(shot_ids))
+
+
+def parse_shot_ids(text: str) -> tuple[int, ...]:
+    """Read a list of shot ids as people write it: ``3,7-9``.
+
+    Raises:
+        ConfigError: It is none.
+    """
+    ids: list[int] = []
+    for part in text.split(","):
+        first, dash, last = part.strip().partition("-")
+        if not first.isdecimal() or (dash and not last.isdecimal()):
+            raise ConfigError(f"--shots {text}: '{part.strip()}' is no shot; write 3,7-9")
+        ids += range(int(first), int(last if dash else first) + 1)
+    return tuple(dict.fromkeys(ids))
+
+
+def _flagged(dataset: Dataset) -> Iterable[int]:
+    for i, shot_id in enumerate(dataset.shot_ids):
+        quality = dataset.quality(i)
+        if quality is not None and quality.flags:
+            yield int(shot_id)

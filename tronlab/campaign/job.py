@@ -1,0 +1,149 @@
+"""Everything a run reads from files, checked against each other before a device is asked."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from tronlab.calib.record import CalibrationRecord
+from tronlab.campaign.acceptance import Acceptance
+from tronlab.campaign.config import Campaign, load_campaign
+from tronlab.campaign.rig import Rig, load_rig
+from tronlab.dataset.location import DATASET_NAME
+from tronlab.dataset.places import images_folder, journal_path, lock_path, part_of
+from tronlab.errors import CalibrationError, ConfigError, PlanError
+from tronlab.nav.cores import known_cores
+from tronlab.planning.shots import Plan, database_indices, make_plan
+from tronlab.trajectory.poses import camera_poses
+from tronlab.yaml_models import read_text
+
+DEFAULT_OUT_DIR = Path("out")
+
+
+@dataclass(frozen=True)
+class Files:
+    """Which files a run shall use; None: those that the campaign names."""
+
+    campaign: Path
+    rig: Path | None = None
+    calibration: Path | None = None
+
+
+@dataclass(frozen=True)
+class Job:
+    """Campaign, rig, calibration record and what follows from them without any device."""
+
+    campaign: Campaign
+    rig: Rig
+    calibration: CalibrationRecord
+    calibration_path: Path
+    calibration_text: str
+    plan: Plan
+    """All shots, in the order of the trajectory."""
+    seed: int
+
+    @property
+    def reference_indices(self) -> tuple[int, ...]:
+        """Get which of the plan's poses the reference views are rendered at."""
+        return database_indices(len(self.plan.shots), n_views=self.campaign.config.database.n_views)
+
+
+def read_job(files: Files, *, seed: int | None, acceptance: Acceptance) -> Job:
+    """Read all files, and find every contradiction that needs no device.
+
+    Args:
+        files: Which.
+        seed: Instead of the campaign's.
+        acceptance: Whether a record of another rig, or one that has expired, may serve.
+
+    Raises:
+        ConfigError: A file says something that cannot be.
+        CalibrationError: The record lacks a part, or should not serve.
+        PlanError: There is no shot.
+    """
+    brought = {"rig": files.rig, "calibration": files.calibration}
+    campaign = load_campaign(
+        files.campaign, overridden={key for key, path in brought.items() if path is not None}
+    )
+    rig = load_rig(files.rig or campaign.config.rig)
+    calibration_path = files.calibration or campaign.config.calibration
+    calibration_text = read_text(calibration_path)
+    calibration = CalibrationRecord.from_json(calibration_text, source=str(calibration_path))
+    calibration.check_complete()
+    acceptance.let_pass(lambda: calibration.check_rig(rig.name))
+    acceptance.let_pass(calibration.check_validity)
+    _check_image_size(calibration, rig)
+    plan = make_plan(
+        camera_poses(campaign.config.trajectory),
+        mounting=calibration.mounting(rig.config.laboratory.mounting),
+    )
+    _check_cores(campaign)
+    _check_references(campaign, len(plan.shots))
+    return Job(
+        campaign=campaign,
+        rig=rig,
+        calibration=calibration,
+        calibration_path=calibration_path,
+        calibration_text=calibration_text,
+        plan=plan,
+        seed=campaign.config.seed if seed is None else seed,
+    )
+
+
+def new_dataset_path(out_dir: Path) -> Path:
+    """Give where the dataset goes in a folder that is new or empty.
+
+    What a run leaves that was killed before its first shot does not count.
+
+    Raises:
+        ConfigError: It is a file, is in use, or cannot be made.
+    """
+    if out_dir.exists() and not out_dir.is_dir():
+        raise ConfigError(f"--out {out_dir}: is a file, expected a folder; name another with --out")
+    if (out_dir / DATASET_NAME).exists():
+        raise ConfigError(
+            f"--out {out_dir}: exists and is not empty, nothing is overwritten; name another folder"
+            f" with --out, or go on with that recording: tronlab run --resume {out_dir}"
+        )
+    path = out_dir / DATASET_NAME
+    remnants = {part_of(path), journal_path(path), lock_path(path), images_folder(path)}
+    if out_dir.is_dir() and not remnants.issuperset(out_dir.iterdir()):
+        raise ConfigError(
+            f"--out {out_dir}: exists and is not empty, nothing is overwritten;"
+            " name another folder with --out"
+        )
+    nearest = next(path for path in (out_dir, *out_dir.absolute().parents) if path.exists())
+    if not (nearest.is_dir() and os.access(nearest, os.W_OK)):
+        raise ConfigError(
+            f"--out {out_dir}: cannot be made, {nearest} is no folder that can be written to;"
+            " name another folder with --out"
+        )
+    return path
+
+
+def _check_cores(campaign: Campaign) -> None:
+    """Find a mistyped core before the recording, not when it shall be scored."""
+    known = known_cores()
+    for i, name in enumerate(campaign.config.score.cores):
+        if name not in known:
+            raise campaign.error(
+                f"no navigation core '{name}'; known cores: {', '.join(sorted(known))}",
+                "score", "cores", i,
+            )  # fmt: skip
+
+
+def _check_references(campaign: Campaign, n_poses: int) -> None:
+    try:
+        database_indices(n_poses, n_views=campaign.config.database.n_views)
+    except PlanError as error:
+        raise campaign.error(str(error), "database", "n_views") from None
+
+
+def _check_image_size(calibration: CalibrationRecord, rig: Rig) -> None:
+    camera = rig.config.laboratory.camera
+    calibrated = calibration.camera.width_px, calibration.camera.height_px
+    if calibrated != (camera.width_px, camera.height_px):
+        raise CalibrationError(
+            f"{calibration.source}: the camera was calibrated for images of {calibrated[0]} x"
+            f" {calibrated[1]} pixels, but {rig.path} reads out {camera.width_px} x"
+            f" {camera.height_px}; calibrate again: tronlab calibrate"
+        )

@@ -1,0 +1,265 @@
+"""One session of a run: devices, references, shots, and the dataset they go to."""
+
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from tronlab.campaign.acceptance import Acceptance
+from tronlab.campaign.accuracy import describe_accuracy
+from tronlab.campaign.brightness import LightModel
+from tronlab.campaign.chronicle import Chronicle
+from tronlab.campaign.console import Console
+from tronlab.campaign.continuation import Recorded
+from tronlab.campaign.drift import Vigil, begin_vigil, n_checks, open_watch
+from tronlab.campaign.engine import run_shots
+from tronlab.campaign.foresight import Foresight
+from tronlab.campaign.job import Job
+from tronlab.campaign.live import Live
+from tronlab.campaign.notify import Notifier
+from tronlab.campaign.provenance import device_identities, software_versions
+from tronlab.campaign.reference import render_references
+from tronlab.campaign.session import new_session
+from tronlab.campaign.shot import ShotTaker, TruthSource
+from tronlab.campaign.stop import StopRequest, stopped_by_ctrl_c
+from tronlab.dataset.journal import Journal
+from tronlab.dataset.records import (
+    Provenance,
+    ReferenceView,
+    Session,
+    SessionKind,
+)
+from tronlab.dataset.writer import DatasetWriter
+from tronlab.devices.registry import Devices, connected
+from tronlab.planning.shots import Plan, Shot, check_reach
+from tronlab.render.renderer import Lamp
+
+_SPARE_ROWS = 32
+"""Room in the dataset for shots that are taken again during the run."""
+
+
+@dataclass(frozen=True)
+class Assignment:
+    """What a session shall record, and where."""
+
+    job: Job
+    foresight: Foresight
+    dataset_path: Path
+    kind: SessionKind
+    shots: tuple[Shot, ...]
+    """To take, in this order; none is left if a run was killed after its last shot."""
+    acceptances: tuple[Acceptance, ...]
+    """The first one is about the calibration record."""
+    recorded: Recorded | None = None
+    """What is in the dataset already; None: it is a new one."""
+
+    @property
+    def number(self) -> int:
+        """Get the number of the session."""
+        return 1 + (len(self.recorded.sessions) if self.recorded else 0)
+
+    @property
+    def accepted(self) -> tuple[str, ...]:
+        """Get everything that was accepted, one line each."""
+        return tuple(line for acceptance in self.acceptances for line in acceptance.accepted)
+
+
+def record(
+    assignment: Assignment, *, live: Live, stop: StopRequest, console: Console | None
+) -> None:
+    """Take the shots of a session.
+
+    Raises:
+        TronlabError: As ``run_campaign``.
+        CampaignInterrupted: Stopped by a person.
+    """
+    job = assignment.job
+    live.announce(f"rig '{job.rig.name}': connecting devices")
+    devices = job.rig.open_devices(
+        job.seed,
+        # another session of simulated devices has other noise
+        session="run" if assignment.number == 1 else f"run, session {assignment.number}",
+        load_heightmap=lambda: assignment.foresight.heightmap,
+    )
+    _go_on_in_time(assignment.recorded, devices)
+    with connected(devices):
+        session = _begin_session(assignment, devices)
+        vigil = _vigil(assignment, devices, live)
+        session = replace(session, accepted=assignment.accepted)
+        _record(assignment, devices, session, vigil, live=live, stop=stop, console=console)
+
+
+def _go_on_in_time(recorded: Recorded | None, devices: Devices) -> None:
+    """Let a simulated laboratory go on where it was: its time begins anew in every process."""
+    if recorded is not None and devices.clock.is_simulated:
+        devices.clock.advance(max(0.0, recorded.last_time_s - devices.clock.now_s))
+
+
+def _begin_session(assignment: Assignment, devices: Devices) -> Session:
+    """Find out who answers, and whether they can do what is planned, before anything moves."""
+    job = assignment.job
+    identities = device_identities(devices)
+    assignment.acceptances[0].let_pass(lambda: job.calibration.check_devices(identities))
+    check_reach(assignment.shots, devices.robot)
+    camera = job.campaign.config.camera
+    devices.camera.configure(
+        exposure_s=camera.exposure_s, gain_db=camera.gain_db, pixel_format=camera.pixel_format
+    )
+    return new_session(
+        job,
+        number=assignment.number,
+        kind=assignment.kind,
+        software=software_versions(),
+        devices={name: str(identity) for name, identity in identities.items()},
+        accepted=(),
+    )
+
+
+def _vigil(assignment: Assignment, devices: Devices, live: Live) -> Vigil | None:
+    """Begin to watch for drift, if the campaign wants it and the record allows it."""
+    job = assignment.job
+    watch = open_watch(
+        devices.tracker,
+        job.calibration,
+        job.campaign.config.drift,
+        advice="measure the frame anew: tronlab calibrate frame"
+        f" --rig {job.rig.path} --record {job.calibration.source}",
+    )
+    if watch is None:
+        live.announce("drift checks: none, so the truth of no shot is vouched for")
+        return None
+    vigil = begin_vigil(
+        watch,
+        assignment.acceptances[0],
+        on_retry=lambda attempt, error: live.announce(f"drift check, attempt {attempt}: {error}"),
+    )
+    if vigil.first.is_within:
+        live.announce(watch.describe(vigil.first))
+    return vigil
+
+
+def _record(
+    assignment: Assignment,
+    devices: Devices,
+    session: Session,
+    vigil: Vigil | None,
+    *,
+    live: Live,
+    stop: StopRequest,
+    console: Console | None,
+) -> None:
+    job, path = assignment.job, assignment.dataset_path
+    views = () if assignment.recorded else _references(assignment, live)
+    taker = _taker(assignment, devices, vigil, warn=live.announce)
+    notifier = Notifier(
+        job.campaign.config.notify, campaign=job.campaign.name, dataset=path, warn=live.announce
+    )
+    with notifier, _open_writer(assignment, session, vigil) as writer:
+        chronicle = Chronicle(writer, Journal(path), live, notifier, n_planned=len(job.plan.shots))
+        if views:
+            writer.add_references(views)
+        with (
+            chronicle.of_session(session, taker),
+            stopped_by_ctrl_c(stop, announce=live.announce, can_pause=console is not None),
+        ):
+            drift = vigil and vigil.checks(
+                writer.commit_drift,
+                n_shots=len(assignment.shots),
+                stop=stop,
+                announce=live.announce,
+            )
+            if assignment.shots:
+                devices.room.switch_lamp(on=True)
+                run_shots(
+                    Plan(assignment.shots),
+                    taker,
+                    commit=chronicle.commit,
+                    drift=drift,
+                    stop=stop,
+                    listener=chronicle.listener,
+                    console=console,
+                    free_bytes=lambda: shutil.disk_usage(path.parent).free,
+                    n_spare_rows=_SPARE_ROWS,
+                )
+    if path.exists():
+        live.announce(describe_accuracy(path))
+
+
+def _taker(
+    assignment: Assignment, devices: Devices, vigil: Vigil | None, *, warn: Callable[[str], None]
+) -> ShotTaker:
+    job, foresight = assignment.job, assignment.foresight
+    calibration, config = job.calibration, job.campaign.config
+    return ShotTaker(
+        devices=devices,
+        config=config,
+        truth_source=TruthSource(calibration, foresight.heightmap, foresight.renderer),
+        drift_watch=vigil and vigil.watch,
+        light=LightModel(
+            renderer=foresight.renderer,
+            heightmap=foresight.heightmap,
+            camera=calibration.camera,
+            lamp=Lamp(p_trs_m=calibration.p_lamp_trs_m, intensity=1.0),
+            photometry=config.database.photometry,
+        ),
+        warn=warn,
+        session=assignment.number,
+    )
+
+
+def _open_writer(assignment: Assignment, session: Session, vigil: Vigil | None) -> DatasetWriter:
+    """Begin a dataset, or make room in one that is there."""
+    segment_shots = assignment.job.campaign.config.recording.segment_shots
+    n_rows = len(assignment.shots) + _SPARE_ROWS
+    if assignment.recorded is not None:
+        writer = DatasetWriter.reopen(
+            assignment.dataset_path,
+            session,
+            n_rows=n_rows,
+            segment_shots=segment_shots,
+            n_shots_planned=len(assignment.job.plan.shots),
+        )
+    else:
+        writer = DatasetWriter(
+            assignment.dataset_path,
+            _provenance(assignment, session),
+            session=session,
+            segment_shots=segment_shots,
+            n_spare_rows=_SPARE_ROWS,
+        )
+    if vigil is not None:
+        writer.plan_drift_checks(vigil.watch.reflectors, n_checks(n_rows, vigil.watch.config))
+    return writer
+
+
+def _provenance(assignment: Assignment, session: Session) -> Provenance:
+    job = assignment.job
+    return Provenance(
+        campaign_name=job.campaign.name,
+        campaign_yaml=job.campaign.text,
+        rig_name=job.rig.name,
+        rig_yaml=job.rig.whole_text,
+        calibration_json=job.calibration_text,
+        seed=job.seed,
+        software=dict(session.software),
+        devices=dict(session.devices),
+        plan_sha256=job.plan.sha256,
+        n_shots_planned=len(job.plan.shots),
+        camera=job.calibration.camera,
+        accepted=session.accepted,
+    )
+
+
+def _references(assignment: Assignment, live: Live) -> tuple[ReferenceView, ...]:
+    job, foresight = assignment.job, assignment.foresight
+    live.announce("renderer: getting ready; its first use after an installation compiles")
+    live.advance("reference views", n_done=0, n_all=len(job.reference_indices))
+    return render_references(
+        [job.plan.shots[i].trs_from_cam_nominal for i in job.reference_indices],
+        heightmap=foresight.heightmap,
+        renderer=foresight.renderer,
+        camera=job.calibration.camera,
+        lamp=Lamp(p_trs_m=job.calibration.p_lamp_trs_m, intensity=1.0),
+        config=job.campaign.config.database,
+        on_view=lambda n_done, n_all: live.advance("reference views", n_done=n_done, n_all=n_all),
+    )

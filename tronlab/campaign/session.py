@@ -1,0 +1,125 @@
+"""A session: one time that somebody records into a dataset, and what changed since the last."""
+
+import os
+import re
+import socket
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from tronlab.calib.record import CalibrationRecord
+from tronlab.campaign.job import Job
+from tronlab.campaign.rig import EXTENDS_MARK
+from tronlab.dataset.records import Session, SessionKind
+from tronlab.dataset.skeleton import utc_now
+from tronlab.errors import CalibrationError, ChangedError
+
+_HARMLESS = frozenset({"title", "score", "plan", "retry", "suspend", "recording", "notify"})
+"""Sections of a campaign file that a shot looks the same without."""
+_COMPARED_BY_CONTENT = frozenset({"trajectory", "rig", "calibration", "seed"})
+"""What they lead to is compared: another path to the same rig is no change."""
+
+
+def new_session(
+    job: Job,
+    *,
+    number: int,
+    kind: SessionKind,
+    software: Mapping[str, str],
+    devices: Mapping[str, str],
+    accepted: tuple[str, ...],
+) -> Session:
+    """Describe the session that begins now in this process."""
+    return Session(
+        number=number,
+        kind=kind,
+        start_utc=utc_now(),
+        campaign_path=str(job.campaign.path.absolute()),
+        rig_path=str(job.rig.path.absolute()),
+        calibration_path=str(job.calibration_path.absolute()),
+        campaign_yaml=job.campaign.text,
+        rig_yaml=job.rig.whole_text,
+        calibration_json=job.calibration_text,
+        plan_sha256=job.plan.sha256,
+        seed=job.seed,
+        software=software,
+        devices=devices,
+        host=socket.gethostname(),
+        pid=os.getpid(),
+        accepted=accepted,
+    )
+
+
+def refuse_changes(last: Session, job: Job) -> None:
+    """See that a dataset goes on as it was begun.
+
+    Comments and sections that do not touch the shots may differ.
+
+    Args:
+        last: The dataset's last session.
+        job: What shall go on.
+
+    Raises:
+        ChangedError: Plan, rig, calibration record or seed are others.
+    """
+    changes = list(_changes(last, job))
+    if changes:
+        raise ChangedError(
+            f"since the last session of the dataset changed: {', '.join(changes)};\n"
+            "put back what was there, or record a new dataset: tronlab run CAMPAIGN.yaml --out DIR"
+        )
+
+
+def refuse_another_camera(last: Session, calibration: CalibrationRecord) -> None:
+    """See that the lens is the one the dataset was begun with: a dataset has one camera model.
+
+    Raises:
+        ChangedError: It was calibrated anew; nobody can accept that.
+    """
+    try:
+        recorded = CalibrationRecord.from_json(
+            last.calibration_json, source="the recorded calibration", check_signature=False
+        ).camera
+    except CalibrationError:
+        return
+    if recorded != calibration.camera:
+        raise ChangedError(
+            f"{calibration.source}: has another camera model than the dataset, and a dataset has"
+            " only one; record a new one: tronlab run CAMPAIGN.yaml --out DIR"
+        )
+
+
+def _changes(last: Session, job: Job) -> Iterator[str]:
+    if last.plan_sha256 != job.plan.sha256:
+        yield "the plan (poses of the shots, or the mounting they follow from)"
+    if last.campaign_yaml != job.campaign.text:
+        before, now = _sections(last.campaign_yaml), _sections(job.campaign.text)
+        for name in sorted((before.keys() | now.keys()) - _HARMLESS - _COMPARED_BY_CONTENT):
+            if before.get(name) != now.get(name):
+                yield f"{name} of the campaign"
+    rig_yaml = job.rig.whole_text
+    if last.rig_yaml != rig_yaml and _documents(last.rig_yaml) != _documents(rig_yaml):
+        yield f"the rig ({job.rig.path})"
+    if last.calibration_json != job.calibration_text:
+        yield f"the calibration record ({job.calibration.source})"
+    if last.seed != job.seed:
+        yield f"the seed ({last.seed}, now {job.seed})"
+
+
+def _sections(campaign_yaml: str) -> dict[str, Any]:
+    document = _document(campaign_yaml)
+    return document if isinstance(document, dict) else {}
+
+
+def _documents(rig_yaml: str) -> list[Any]:
+    """Give what a rig file and those it extends say, without their comments."""
+    return [_document(text) for text in re.split(rf"{EXTENDS_MARK}.*\n", rig_yaml)]
+
+
+def _document(text: str) -> Any:
+    try:
+        return YAML(typ="safe", pure=True).load(text)
+    except YAMLError:
+        return text

@@ -1,0 +1,1 @@
+"""The single checks of ``tronlab.dataset.validate``; each gives one sentence a contradiction."""

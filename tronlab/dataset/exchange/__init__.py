@@ -1,0 +1,1 @@
+"""Datasets of others read in, and ours written out, in the formats that are in use."""

@@ -1,0 +1,207 @@
+"""How near anything comes to anything on the way from one posture to the next.
+
+The robot moves all axes and the rail at once, each in proportion. Between two postures no two
+bodies come nearer to each other than the turns of the axes between them, times their levers, and
+the rail's way allow: where that leaves the clearance that is asked for, nothing can happen. Else
+the way is halved, until it is shorter than a centimetre. So nothing that comes nearer than allowed
+is missed by more than half of that; of what does not, the distance is that at the places examined.
+
+A robot that takes its rail past the target and back, to come from below, is not followed there.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tronlab.devices.readings import Posture
+from tronlab.geometry.poses import FloatArray
+from tronlab.kinematics.kr16 import FLANGE_OUT_M
+from tronlab.kinematics.kr16_shape import LINK_NAMES, levers_m
+from tronlab.planning.assessment import Finding
+from tronlab.planning.clearance import Distances, clearances, distances_at
+from tronlab.planning.collision import FOOT, PLATE, Clearance, Pair, Scene
+from tronlab.planning.distances import CORNER_SIGNS
+
+_FINEST_M: Final = 0.01
+_N_AXES_BEFORE: Final = {FOOT: 0, **{n: i for i, n in enumerate(LINK_NAMES, start=1)}, PLATE: 6}
+"""How many axes move each body of the robot."""
+
+
+@dataclass(frozen=True, slots=True)
+class ClearanceCheck:
+    """How near anything comes to anything at a shot, and on the way there."""
+
+    at_shot: Clearance | None
+    """None if the robot cannot stand there."""
+    on_way: Clearance | None
+    """From the shot before that can be reached; None if there is none."""
+    findings: tuple[Finding, ...]
+
+    @property
+    def least_m(self) -> float:
+        """Get the lesser distance; NaN if there is none."""
+        known = [c.distance_m for c in (self.at_shot, self.on_way) if c is not None]
+        return min(known, default=float("nan"))
+
+
+def check_clearance_along(
+    postures: Sequence[Posture | None], scene: Scene, *, start: Posture | None = None
+) -> tuple[ClearanceCheck, ...]:
+    """Hold shots, and the moves between them, against the envelope.
+
+    Args:
+        postures: One a shot, in the order taken; None where the robot cannot stand.
+        scene: The cell.
+        start: Where the robot stands before; the way to the first shot is checked only then.
+
+    Returns:
+        One check a shot; refusals where anything comes nearer than the envelope allows, or the
+        robot meets itself.
+    """
+    standing = [posture for posture in postures if posture is not None]
+    if not standing:
+        return tuple(ClearanceCheck(None, None, ()) for _ in postures)
+    at_shots = iter(clearances(standing, scene))
+    chain = standing if start is None else [start, *standing]
+    on_ways: list[Clearance | None] = [*passage_clearances(chain, scene)]
+    on_way = iter(on_ways if start is not None else [None, *on_ways])
+    return tuple(
+        ClearanceCheck(None, None, ())
+        if posture is None
+        else _check(next(at_shots), next(on_way), scene)
+        for posture in postures
+    )
+
+
+def passage_clearances(postures: Sequence[Posture], scene: Scene) -> tuple[Clearance, ...]:
+    """Give what comes nearest on the way between each two consecutive postures, and how near."""
+    states = np.array([[p.rail_m, *p.axes_rad] for p in postures])
+    if len(states) < 2:
+        return ()
+    at = distances_at(states[:, 0], states[:, 1:], scene)
+    levers = _Levers.of(at.pairs, scene)
+    # Of each motion and pair the least distance found so far.
+    least_m = np.minimum(at.distance_m[:-1], at.distance_m[1:])
+    ways = _Ways(
+        motion=np.arange(len(states) - 1),
+        start=states[:-1],
+        end=states[1:],
+        start_m=at.distance_m[:-1],
+        end_m=at.distance_m[1:],
+    )
+    while True:
+        ways = ways.chosen(_is_doubtful(ways, levers, at.is_own, scene, least_m))
+        if not len(ways.motion):
+            break
+        middle = (ways.start + ways.end) / 2.0
+        middle_m = distances_at(middle[:, 0], middle[:, 1:], scene).distance_m
+        np.minimum.at(least_m, ways.motion, middle_m)
+        ways = ways.halved(middle, middle_m)
+    return Distances(least_m, at.pairs, at.is_own).nearest
+
+
+@dataclass(frozen=True, slots=True)
+class _Levers:
+    """How far the bodies of each pair move towards each other, at most."""
+
+    rail: FloatArray
+    """Metres for each metre of the rail, shape (pairs,)."""
+    axes_m: FloatArray
+    """Metres for each radian of the axes, shape (6, pairs)."""
+
+    @classmethod
+    def of(cls, pairs: Sequence[Pair], scene: Scene) -> "_Levers":
+        envelope = scene.envelope
+        corners = np.array(envelope.plate_centre_m) + CORNER_SIGNS * envelope.plate_m / 2.0
+        from_wrist = corners + np.array([0.0, 0.0, FLANGE_OUT_M])
+        by_body = levers_m(float(np.linalg.norm(from_wrist, axis=-1).max()))
+        rail_m = float(np.linalg.norm(scene.mounting.rail_axis))
+        rail = [0.0 if set(pair) <= _N_AXES_BEFORE.keys() else rail_m for pair in pairs]
+        return cls(np.array(rail), np.stack([_of_pair(pair, by_body) for pair in pairs], axis=1))
+
+
+def _of_pair(pair: Pair, by_body: FloatArray) -> FloatArray:
+    """Give the levers of the axes between two bodies, for the outer one of them, shape (6,)."""
+    inner, outer = sorted(_N_AXES_BEFORE.get(name, 0) for name in pair)
+    return np.where(np.arange(6) < inner, 0.0, by_body[outer - 1]) if outer else np.zeros(6)
+
+
+@dataclass(frozen=True, slots=True)
+class _Ways:
+    """Parts of motions, a stack of m."""
+
+    motion: NDArray[np.intp]
+    """Which motion each is a part of, shape (m,)."""
+    start: FloatArray
+    """Rail and axes, shape (m, 7)."""
+    end: FloatArray
+    start_m: FloatArray
+    """Distances of all pairs there, shape (m, pairs)."""
+    end_m: FloatArray
+
+    def lengths_m(self, levers: _Levers) -> FloatArray:
+        """Bound how far the bodies of each pair move towards each other, shape (m, pairs)."""
+        travel = np.abs(self.end - self.start)
+        return np.outer(travel[:, 0], levers.rail) + travel[:, 1:] @ levers.axes_m
+
+    def chosen(self, which: NDArray[np.bool_]) -> "_Ways":
+        """Give some of them."""
+        return _Ways(
+            self.motion[which],
+            self.start[which],
+            self.end[which],
+            self.start_m[which],
+            self.end_m[which],
+        )
+
+    def halved(self, middle: FloatArray, middle_m: FloatArray) -> "_Ways":
+        """Give twice as many, half as long."""
+        return _Ways(
+            np.concatenate([self.motion, self.motion]),
+            np.concatenate([self.start, middle]),
+            np.concatenate([middle, self.end]),
+            np.concatenate([self.start_m, middle_m]),
+            np.concatenate([middle_m, self.end_m]),
+        )
+
+
+def _is_doubtful(
+    ways: _Ways,
+    levers: _Levers,
+    is_own: NDArray[np.bool_],
+    scene: Scene,
+    least_m: FloatArray,
+) -> NDArray[np.bool_]:
+    """Tell which could come nearer than allowed, and than is known of their motion; shape (m,).
+
+    Where bodies meet on a motion it is refused: how deep they go is of no interest.
+    """
+    length_m = ways.lengths_m(levers)
+    possible_m = (ways.start_m + ways.end_m - length_m) / 2.0
+    allowed_m = np.where(is_own, 0.0, scene.envelope.clearance_m)
+    is_near = possible_m < np.minimum(allowed_m, least_m[ways.motion])
+    is_open = least_m.min(axis=1)[ways.motion] >= 0.0
+    return is_open & np.logical_or.reduce(is_near & (length_m > _FINEST_M), axis=1)
+
+
+def _check(at_shot: Clearance, on_way: Clearance | None, scene: Scene) -> ClearanceCheck:
+    allowed_m = scene.envelope.clearance_m
+    findings = [
+        Finding("collision", f"{where}{_describe(found, allowed_m)}")
+        for where, found in (("", at_shot), ("on the way there ", on_way))
+        if found is not None and found.distance_m < allowed_m
+    ]
+    return ClearanceCheck(at_shot, on_way, tuple(findings))
+
+
+def _describe(found: Clearance, allowed_m: float) -> str:
+    first, second = found.between
+    if found.distance_m < 0.0:
+        return f"{first} and {second} meet, {-found.distance_m:.3f} m deep"
+    return (
+        f"{first} comes to {found.distance_m:.3f} m from {second}, allowed {allowed_m:g} m"
+        " (cell.envelope.clearance_m)"
+    )
