@@ -1,6 +1,7 @@
 """Fixtures shared by all tests: a seeded generator, a small camera, shots and a small dataset."""
 
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -89,11 +90,11 @@ def make_session() -> Callable[..., Session]:
     return fake_session
 
 
-@pytest.fixture
-def small_dataset(tmp_path: Path) -> Path:
-    """A complete and valid dataset of 5 shots (ids 0 to 4), 2 reference views, 2 drift checks."""
-    path = tmp_path / "dataset.h5"
-    with DatasetWriter(path, fake_provenance(5)) as writer:
+@pytest.fixture(scope="session")
+def recorded_datasets(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the datasets that ``small_dataset`` and ``segmented_dataset`` copy."""
+    folder = tmp_path_factory.mktemp("recorded")
+    with DatasetWriter(folder / "dataset.h5", fake_provenance(5)) as writer:
         writer.add_references([fake_view(0), fake_view(1)])
         writer.plan_drift_checks(REFLECTORS, 2)
         writer.commit_drift(fake_drift(0))
@@ -101,16 +102,10 @@ def small_dataset(tmp_path: Path) -> Path:
             writer.commit(fake_shot(i))
         writer.commit_drift(fake_drift(5))
         writer.finish("complete")
-    return path
-
-
-@pytest.fixture
-def segmented_dataset(tmp_path: Path) -> Path:
-    """As a run leaves it: 5 shots (ids 0 to 4) in segments of 2, room for 3 more, aborted."""
-    path = tmp_path / "recorded" / "dataset.h5"
-    path.parent.mkdir()
+    in_segments = folder / "in_segments/dataset.h5"
+    in_segments.parent.mkdir()
     with DatasetWriter(
-        path, fake_provenance(5), session=fake_session(1), segment_shots=2, n_spare_rows=3
+        in_segments, fake_provenance(5), session=fake_session(1), segment_shots=2, n_spare_rows=3
     ) as writer:
         writer.add_references([fake_view(0)])
         writer.plan_drift_checks(REFLECTORS, 2)
@@ -119,7 +114,20 @@ def segmented_dataset(tmp_path: Path) -> Path:
             writer.commit(fake_shot(i, has_quality=True))
         writer.commit_drift(fake_drift(5))
         writer.finish("aborted", "operator")
-    return path
+    return folder
+
+
+@pytest.fixture
+def small_dataset(recorded_datasets: Path, tmp_path: Path) -> Path:
+    """A complete and valid dataset of 5 shots (ids 0 to 4), 2 reference views, 2 drift checks."""
+    return Path(shutil.copy(recorded_datasets / "dataset.h5", tmp_path))
+
+
+@pytest.fixture
+def segmented_dataset(recorded_datasets: Path, tmp_path: Path) -> Path:
+    """As a run leaves it: 5 shots (ids 0 to 4) in segments of 2, room for 3 more, aborted."""
+    folder = shutil.copytree(recorded_datasets / "in_segments", tmp_path / "recorded")
+    return folder / "dataset.h5"
 
 
 @pytest.fixture

@@ -5,7 +5,6 @@ import numpy as np
 from drivers.kuka.options import KukaOptions
 from drivers.kuka.rail import Rail
 from tronlab.devices.readings import Posture, RobotTarget
-from tronlab.geometry.poses import FloatArray
 from tronlab.kinematics.kr16 import KR16_SPEED_RAD_PER_S, UPRIGHT_RAD, axes_for
 from tronlab.kinematics.ptp import ptp_duration_s
 
@@ -17,6 +16,11 @@ class KukaMotionModel:
         self._options = options
         self._device = device
         self._limits_rad = options.axis_limits_deg.limits_rad
+        pace = options.pace
+        speed = np.append(KR16_SPEED_RAD_PER_S, pace.rail_speed_m_per_s)
+        ramp = np.append(KR16_SPEED_RAD_PER_S / pace.axis_ramp_s, pace.rail_acceleration_m_per_s2)
+        self._speed = speed * options.velocity_pct / 100.0
+        self._acceleration = ramp * options.acceleration_pct / 100.0
 
     def posture_for(
         self, target: RobotTarget, *, near: Posture | None = None, call: str = "posture_for"
@@ -52,16 +56,6 @@ class KukaMotionModel:
     def _motion_s(self, start: Posture, end: Posture) -> float:
         """Give how long one command takes until the robot is known to stand still."""
         options, pace = self._options, self._options.pace
-        travel = _state(end) - _state(start)
-        speed = np.append(KR16_SPEED_RAD_PER_S, pace.rail_speed_m_per_s)
-        ramp = np.append(KR16_SPEED_RAD_PER_S / pace.axis_ramp_s, pace.rail_acceleration_m_per_s2)
-        moving_s = ptp_duration_s(
-            travel,
-            speed=speed * options.velocity_pct / 100.0,
-            acceleration=ramp * options.acceleration_pct / 100.0,
-        )
+        travel = np.append(end.axes_rad - start.axes_rad, end.rail_m - start.rail_m)
+        moving_s = ptp_duration_s(travel, speed=self._speed, acceleration=self._acceleration)
         return moving_s / (pace.override_pct / 100.0) + pace.command_s + options.settle.dwell_s
-
-
-def _state(posture: Posture) -> FloatArray:
-    return np.append(posture.axes_rad, posture.rail_m)

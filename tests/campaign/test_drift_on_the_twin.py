@@ -13,7 +13,7 @@ from tronlab.calib.record import CalibrationRecord
 from tronlab.campaign.run import run_campaign
 from tronlab.cli.app import app
 from tronlab.dataset.reader import Dataset
-from tronlab.dataset.validate import validate
+from tronlab.dataset.validate import examine, validate
 from tronlab.errors import CalibrationError
 
 EditYaml = Callable[..., None]
@@ -60,7 +60,9 @@ def test_drift_within_the_run_stops_it_and_flags_its_shots(
         assert dataset.truth_states == ("good", "good", "suspect", "suspect")
         last = dataset.drift_checks[-1]
         assert last.max_shift_m == pytest.approx(0.003, abs=3e-4)
-    assert any(finding.startswith("truth of shots 3-4 is suspect") for finding in validate(path))
+    assert any(
+        finding.startswith("truth of shots 3-4 is suspect") for finding in examine(path).notes
+    )
 
 
 def test_a_campaign_may_go_on_when_something_moves(

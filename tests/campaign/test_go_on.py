@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from recorder import Recorder
 
-from tronlab.campaign.job import Files
+from tronlab.campaign.continuation import GivenFiles
 from tronlab.campaign.run import (
     CampaignInterrupted,
     resume_campaign,
@@ -133,7 +133,7 @@ def test_a_file_that_has_gone_must_be_named(campaign_path: Path, tmp_path: Path)
     moved = campaign_path.rename(tmp_path / "moved.yaml")
     with pytest.raises(ConfigError, match=r"campaign file of the recording is not there any more"):
         resume_campaign(tmp_path / "out")
-    with Dataset(resume_campaign(tmp_path / "out", files=Files(moved))) as dataset:
+    with Dataset(resume_campaign(tmp_path / "out", files=GivenFiles(moved))) as dataset:
         assert dataset.n_shots == 5
 
 

@@ -17,6 +17,7 @@ from recorder import Recorder
 from tronlab.campaign.run import CampaignInterrupted, run_campaign
 from tronlab.campaign.stop import StopRequest
 from tronlab.dataset.reader import Dataset
+from tronlab.dataset.records import ShotRecord
 from tronlab.dataset.validate import validate
 from tronlab.errors import (
     CalibrationError,
@@ -130,6 +131,8 @@ def test_tracking_lost_for_good_fails_the_run_but_keeps_its_shots(
         "error": "tracking_lost",
     }
     edit_yaml(rig_path, "world.faults", [fault])
+    edit_yaml(campaign_path, "retry", {"on_failure": "stop"})
+    edit_yaml(campaign_path, "suspend", {"timeout_s": 60.0})
     with pytest.raises(TrackingLostError, match="tracker"):
         run_campaign(campaign_path, out_dir=tmp_path / "out")
     with Dataset(tmp_path / "out" / "dataset.h5") as dataset:
@@ -154,7 +157,9 @@ def test_device_fault_stops_the_run_without_retry(
         assert dataset.status == "failed"
         assert list(dataset.shot_ids) == [1, 2, 3]
         assert dataset.reason.startswith("shot 4, attempt 1: robot: ")
-    assert live.texts[-1] == (f"the run failed at shot 4, attempt 1; 3 of 5 shots are in {path}")
+    assert live.texts[-1].startswith(
+        f"the run failed at shot 4, attempt 1; 3 of 5 shots are in {path}; when the cause is"
+    )
     assert "Traceback" not in capfd.readouterr().err
 
 
@@ -189,7 +194,7 @@ def test_unreachable_shots_are_all_listed_before_anything_moves(
 ) -> None:
     edit_yaml(campaign_path, "trajectory.start_trs_m", [1.08, 2.08, 6.0])
     edit_yaml(campaign_path, "trajectory.n_points", 3)
-    with pytest.raises(PlanError, match=r"1 of 3 shots cannot be reached:\n  shot 1: robot: "):
+    with pytest.raises(PlanError, match=r"1 of 3 shots cannot be taken:\n  shot 1: robot: "):
         run_campaign(campaign_path, out_dir=tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
@@ -223,10 +228,10 @@ def test_write_error_stops_the_run(
 
     commit = DatasetWriter.commit
 
-    def commit_or_fail(self: DatasetWriter, shot: object) -> None:
+    def commit_or_fail(self: DatasetWriter, shot: ShotRecord, replaces: bool = False) -> None:
         if self.n_committed == 2:
             raise DatasetError("disk full")
-        commit(self, shot)  # pyright: ignore[reportArgumentType]
+        commit(self, shot, replaces)
 
     monkeypatch.setattr(DatasetWriter, "commit", commit_or_fail)
     with pytest.raises(DatasetError, match="disk full"):

@@ -11,12 +11,12 @@ from tronlab.devices.readings import Posture
 from tronlab.geometry.camera import CameraModel
 from tronlab.geometry.poses import pose_along_boresight
 from tronlab.kinematics import kr16
-from tronlab.planning.assess import PlanContext, Rules
 from tronlab.planning.assessment import Finding, PlanAssessment, ShotAssessment, ShotDuration
+from tronlab.planning.context import PlanContext, Rules
 from tronlab.planning.duration import Timing
 from tronlab.planning.shots import make_plan
 from tronlab.render.heightfield import HeightfieldRenderer
-from tronlab.report.plan_scene import Stage
+from tronlab.report.plan_stage import Stage
 from tronlab.terrain.heightmap import HeightMap
 
 MOUNTING = MountingSpec(

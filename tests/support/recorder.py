@@ -1,6 +1,6 @@
 """A live view that remembers, and may act when a stage advances."""
 
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 
 from tronlab.dataset.records import ShotRecord
@@ -26,6 +26,8 @@ class Recorder:
     def advance(self, stage: str, *, n_done: int, n_all: int) -> None:
         self.progress.append((stage, n_done, n_all))
         self._on_advance(stage, n_done)
+
+    def expect(self, moves_s: Mapping[int, float]) -> None: ...
 
     def show_shot(self, record: ShotRecord, *, write_s: float) -> None:
         self.shots.append(record)

@@ -1,6 +1,6 @@
 """What becomes of everything that happens in a session: stored, written down, shown, told."""
 
-from collections.abc import Generator
+from collections.abc import Collection, Generator
 from contextlib import contextmanager, suppress
 from time import perf_counter
 
@@ -41,7 +41,7 @@ class Chronicle:
         self._n_planned = n_planned
         self._write_s = 0.0
         """How long the last shot took to write."""
-        self._skipped: dict[int, str] = {}
+        self._skipped: tuple[int, ...] = ()
 
     @property
     def listener(self) -> RunListener:
@@ -63,6 +63,10 @@ class Chronicle:
             record, replaces=replaces or record.shot_id in self._writer.committed_ids
         )
         self._write_s = perf_counter() - begin_s
+
+    def note_skipped(self, shot_ids: Collection[int]) -> None:
+        """Take note of the shots of which nothing is stored after all."""
+        self._skipped = tuple(sorted(shot_ids))
 
     @contextmanager
     def of_session(self, session: Session, taker: ShotTaker) -> Generator[None]:
@@ -96,7 +100,9 @@ class Chronicle:
         self._finish()
 
     def _finish(self) -> None:
-        skipped = ", ".join(map(str, sorted(self._skipped)))
+        skipped = ", ".join(map(str, self._skipped))
+        if self._writer.n_committed == 0:
+            raise DatasetError(f"no shot was recorded, all were skipped: {skipped}")
         self._writer.finish("complete", reason=f"skipped: {skipped}" if skipped else "")
         self._end("done", self._so_far())
         self._live.announce(self._so_far())
@@ -125,25 +131,21 @@ class Chronicle:
         self._write("retry", text, attempt=attempt, error=type(error).__name__)
 
     def _on_skip(self, shot_id: int, why: str) -> None:
-        self._skipped[shot_id] = why
         self._live.announce(f"shot {shot_id} is skipped: {why}")
         self._write("skipped", f"shot {shot_id}: {why}", shot_id=shot_id)
 
     def _on_suspend(self, suspension: Suspension) -> None:
-        self._live.announce(str(suspension))
-        self._live.state(f"suspended: {suspension.why}")
+        self._show(str(suspension))
         self._write("suspended", str(suspension), condition=suspension.condition)
         self._tell("suspended", str(suspension))
 
     def _on_resume(self, suspension: Suspension) -> None:
-        text = f"{suspension.task} goes on"
-        self._live.announce(text)
-        self._live.state("running")
+        text = f"running: {suspension.task} goes on"
+        self._show(text)
         self._write("resumed", text, condition=suspension.condition)
         self._tell("resumed", text)
 
     def _on_pause(self, pause: Pause) -> None:
-        self._live.state("paused")
         self._write("paused", str(pause))
 
     def _on_decision(self, decision: Decision) -> None:
@@ -151,14 +153,19 @@ class Chronicle:
             case Note(text=text):
                 self._write("note", text)
             case Retake(shot_ids=shot_ids):
-                shots = ", ".join(map(str, shot_ids))
-                self._write("retaken", f"shots {shots} are taken again", shot_ids=list(shot_ids))
-                self._live.state("running")
+                text = f"running: shots {', '.join(map(str, shot_ids))} are taken again"
+                self._show(text)
+                self._write("retaken", text, shot_ids=list(shot_ids))
             case Resume():
+                self._show("running: the operator lets it go on")
                 self._write("resumed", "the operator lets the run go on")
-                self._live.state("running")
             case Abort():
                 self._write("note", "the operator ends the run")
+
+    def _show(self, state: str) -> None:
+        """Say what the run does now, and keep saying it."""
+        self._live.announce(state)
+        self._live.state(state)
 
     def _end(self, event: NotifyEvent, text: str) -> None:
         self._write("finished", text, status=event)

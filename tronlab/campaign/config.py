@@ -139,13 +139,15 @@ class GateConfig(Model):
     """Standard deviation over mean of the grey values within the mask."""
     blur: GateAction = "retake"
     min_sharpness: Annotated[float, Field(ge=0, le=1)] = 0.5
-    """Sharpness against the median of the shots before it: 1 is as sharp as they are."""
+    """Sharpness against the median of good shots of like range before it: 1 is as sharp as they
+    are."""
     target: GateAction = "flag"
     min_usable_fraction: Fraction = 0.05
     """Part of the image that shows the model, by the measured pose."""
     tracker: GateAction = "retake"
-    max_tracker_sigma_m: Annotated[float, Field(gt=0)] = 2e-4
-    """Scatter of the T-MAC's position as the tracker states it: largest of three axes."""
+    max_tracker_sigma_m: Annotated[float, Field(gt=0)] = 1e-4
+    """Scatter of the T-MAC's position as the tracker states it: largest of three axes. A tracker of
+    15 um + 6 um/m stays below this up to 14 m."""
     robot: GateAction = "flag"
     max_robot_shift_m: Annotated[float, Field(gt=0)] = 0.03
     """How far the measured camera may be from where the robot was to put it."""
@@ -157,7 +159,7 @@ class GateConfig(Model):
     brightness: GateAction = "flag"
     max_brightness_change: Annotated[float, Field(gt=0, le=1)] = 0.15
     """How far the light on the model, against what a rendering predicts, may be from the median of
-    the shots before it: beyond it the lamp has drifted, see ``suspend.on_lamp_drift``."""
+    good shots before it: beyond it the lamp has drifted, see ``suspend.on_lamp_drift``."""
 
 
 class RetryRule(Model):
@@ -189,7 +191,7 @@ class RetryConfig(Model):
     """When attempts are used up: end the run, or leave the shot out and go on with the next;
     ``tronlab run --retake DIR --failed`` takes them later."""
     max_skipped_in_row: Annotated[int, Field(ge=1)] = 3
-    """So many shots skipped one after the other end the run all the same."""
+    """After so many shots skipped one after the other, one more ends the run all the same."""
 
 
 class SuspendConfig(Model):

@@ -78,26 +78,37 @@ def read_recorded(path: Path) -> Recorded:
         )
 
 
-def files_of(session: Session, given: Files | None) -> Files:
+@dataclass(frozen=True)
+class GivenFiles:
+    """Files to go on with instead of those of a dataset's last session; None: the same."""
+
+    campaign: Path | None = None
+    rig: Path | None = None
+    calibration: Path | None = None
+
+
+def files_of(session: Session, given: GivenFiles) -> Files:
     """Give which files a dataset goes on with: those named now, else those of its last session.
 
     Raises:
         ConfigError: A file of the last session is not there any more.
     """
-    recorded = {
-        "campaign": Path(session.campaign_path),
-        "rig": Path(session.rig_path),
-        "calibration": Path(session.calibration_path),
-    }
-    named = {name: given and getattr(given, name) for name in recorded}
-    for name, path in recorded.items():
-        if named[name] is None and not path.is_file():
-            raise ConfigError(
-                f"the {name} file of the recording is not there any more; name it:"
-                f" {_HOW_TO_NAME[name]}",
-                path=path,
-            )
-    return Files(**{name: named[name] or path for name, path in recorded.items()})
+    return Files(
+        campaign=_file(given.campaign, session.campaign_path, "campaign"),
+        rig=_file(given.rig, session.rig_path, "rig"),
+        calibration=_file(given.calibration, session.calibration_path, "calibration"),
+    )
+
+
+def _file(given: Path | None, recorded: str, name: str) -> Path:
+    path = given or Path(recorded)
+    if given is None and not path.is_file():
+        raise ConfigError(
+            f"the {name} file of the recording is not there any more; name it:"
+            f" {_HOW_TO_NAME[name]}",
+            path=path,
+        )
+    return path
 
 
 _HOW_TO_NAME = {

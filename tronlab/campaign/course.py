@@ -47,6 +47,8 @@ class Course:
         self.listener = listener
         self.lost_device: str | None = None
         """To connect again before the next attempt."""
+        self.is_ending = False
+        """A person has ended the run: no shot follows."""
         self._commit = commit
         self._drift = drift
         self._free_bytes = free_bytes
@@ -163,7 +165,7 @@ class Course:
         if self._drift is None or check.n_shots_before == self._n_at_last_check:
             return
         self._n_at_last_check = check.n_shots_before
-        self._drift.commit(check)
+        self._drift.commit(check, self.is_ending or not self.schedule.has_next)
 
     def react(self, setbacks: Setbacks, error: BaseException | None) -> Reaction:
         """Note a setback, say what to do about it, and tell whoever listens."""

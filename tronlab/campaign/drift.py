@@ -12,7 +12,6 @@ from tronlab.calib.results import FrameResult
 from tronlab.campaign.acceptance import Acceptance
 from tronlab.campaign.config import DriftConfig, RetryConfig
 from tronlab.campaign.policy import class_of, pause_before_next_s
-from tronlab.campaign.stop import StopRequest
 from tronlab.dataset.records import DriftRecord
 from tronlab.devices.protocols import PoseTracker
 from tronlab.devices.readings import PointReading
@@ -68,8 +67,8 @@ class DriftChecks:
 
     every_n_shots: int | None
     """None: only after the last shot."""
-    commit: Callable[[DriftRecord], None]
-    """Stores a check; whatever it raises ends the run."""
+    commit: Callable[[DriftRecord, bool], None]
+    """Stores a check, given whether it is the last one; whatever it raises ends the run."""
 
 
 @dataclass(frozen=True)
@@ -83,32 +82,28 @@ class Vigil:
         self,
         store: Callable[[DriftRecord], None],
         *,
-        n_shots: int,
-        stop: StopRequest,
         announce: Callable[[str], None],
     ) -> DriftChecks:
         """Give the checks of the run: all are stored, and drift ends it unless told otherwise.
 
-        Drift that was accepted at the start does not end it later.
+        After the last check there is nothing to end. Drift that was accepted at the start does not
+        end it later.
 
         Args:
             store: Puts a check into the dataset, the first one at once.
-            n_shots: How many the session has; after the last one there is nothing to end.
-            stop: Likewise once a person has ended it.
             announce: Told what each check found.
         """
         watch = self.watch
         goes_on = watch.config.on_drift == "continue" or not self.first.is_within
 
-        def commit(check: DriftRecord) -> None:
+        def commit(check: DriftRecord, is_last: bool) -> None:
             store(check)
             found = watch.describe(check)
             if check.is_within:
                 announce(found)
                 return
             found += "; the shots since the last good check are suspect"
-            is_over = stop.is_asked or check.n_shots_before == n_shots
-            if not (goes_on or is_over):
+            if not (goes_on or is_last):
                 raise CalibrationError(f"{found};\n{watch.advice}")
             announce(found)
 

@@ -156,12 +156,15 @@ def _hired(course: Course, console: Console | None) -> Generator[_Crew]:
     taker, stop = course.taker, course.stop
     with Brake(taker.devices.robot, warn=taker.warn) as brake:
         stop.on_at_once(brake.pull)  # before all others
-        with Worker(stop) as worker:
-            if console is not None:
-                stop.on_at_once(console.dismiss)
-            crew = _crew(course, worker, brake, console)
-            yield crew
-        crew.mover.stop()  # if it still moves: nobody waits for it any more
+        worker = Worker(stop)
+        if console is not None:
+            stop.on_at_once(console.dismiss)
+        crew = _crew(course, worker, brake, console)
+        try:
+            with worker:
+                yield crew
+        finally:
+            crew.mover.stop()  # if it still moves: nobody waits for it any more
 
 
 def _crew(course: Course, worker: Worker, brake: Brake, console: Console | None) -> _Crew:
@@ -220,6 +223,7 @@ def _last_check(crew: _Crew) -> Messages:
     Nobody waits for a second try, and whoever asks for a stop at once not even for the first.
     """
     course = crew.course
+    course.is_ending = True
     if not course.has_unchecked_shots or course.stop.is_at_once:
         return
     course.taker.begin_check(course.schedule.n_commits, 1)
@@ -301,8 +305,7 @@ def _pause(crew: _Crew, setbacks: Setbacks | None = None) -> Messages:
             case Resume():
                 course.accept_light(setbacks)
         break
-    if not course.stop.withdraw():
-        raise RunStoppedError
+    course.stop.withdraw()
     course.renew_patience(setbacks)
 
 

@@ -10,8 +10,9 @@ from tronlab.campaign.rig import Rig
 from tronlab.devices.protocols import MotionModel, Robot
 from tronlab.devices.registry import make_device
 from tronlab.errors import PlanError
-from tronlab.planning.assess import PlanContext, Rules, TerrainRenderer, assess
+from tronlab.planning.assess import assess
 from tronlab.planning.assessment import PlanAssessment
+from tronlab.planning.context import PlanContext, Rules, TerrainRenderer
 from tronlab.planning.duration import Timing
 from tronlab.planning.order import in_least_motion
 from tronlab.planning.shots import Plan, make_plan

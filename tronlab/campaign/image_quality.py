@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 FULL_SCALE = {"Mono8": 255, "Mono12": 4095}
 """Highest grey value by pixel format."""
 
-_ROW_STEP = 4
-"""Every fourth pair of rows is looked at: a quarter of a million pixels are plenty."""
+_N_PAIRS = 160
+"""So many pairs of neighbouring rows are looked at: a hundred thousand pixels are plenty."""
+_GOLDEN = (5**0.5 - 1) / 2
 _MARGIN_PX = 3
 """So far from the model's outline along a row: the outline is sharp, whatever the terrain is."""
 
@@ -70,11 +71,12 @@ def measure_sharpness(image: GreyImage, mask: Mask) -> float:
         0 for an image without structure; what is sharp depends on terrain and distance.
     """
     within = mask if mask.any() else np.ones_like(mask)
-    variance = (_shared_variance(image, within) + _shared_variance(image.T, within.T)) / 2
+    along_rows = _shared_structure(_row_pairs(image, within))
+    along_columns = _shared_structure(_row_pairs(image.T, within.T))
+    variance = (along_rows.variance + along_columns.variance) / 2
     if variance <= 0:
         return 0.0
-    energy = _shared_curvature(image, within) + _shared_curvature(image.T, within.T)
-    return max(0.0, energy / variance)
+    return max(0.0, (along_rows.curvature + along_columns.curvature) / variance)
 
 
 def _histogram(image: GreyImage, mask: Mask, *, full_scale: int) -> NDArray[np.float64]:
@@ -84,12 +86,55 @@ def _histogram(image: GreyImage, mask: Mask, *, full_scale: int) -> NDArray[np.f
     return counts.ravel().astype(np.float64)
 
 
-def _shared_curvature(image: GreyImage, within: Mask) -> float:
-    """Give the mean product of the second differences along neighbouring rows."""
-    upper, lower, weight = _row_pairs(image, within)
-    inner = weight[:, 2 * _MARGIN_PX :] * weight[:, : -2 * _MARGIN_PX]
-    n = float(inner.sum())
-    return float(np.vdot(_second_difference(upper) * inner, _second_difference(lower))) / max(n, 1)
+@dataclass(frozen=True, slots=True)
+class _RowPairs:
+    """Some rows, and below each the next one."""
+
+    upper: NDArray[np.float32]
+    lower: NDArray[np.float32]
+    weight: NDArray[np.float32]
+    """1 where both are looked at, else 0."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Structure:
+    """What neighbouring rows have in common, and noise has not."""
+
+    variance: float
+    """0 if there is next to nothing but noise."""
+    curvature: float
+    """Mean product of the second differences along the rows."""
+
+
+def _row_pairs(image: GreyImage, within: Mask) -> _RowPairs:
+    upper = _spread_rows(len(image) - 1)
+    both = within[upper] & within[upper + 1]
+    return _RowPairs(
+        image[upper].astype(np.float32, order="C"),
+        image[upper + 1].astype(np.float32, order="C"),
+        both.astype(np.float32, order="C"),
+    )
+
+
+def _spread_rows(n_rows: int) -> NDArray[np.intp]:
+    """Choose rows spread over so many, at steps that no regular structure is in step with."""
+    n = min(_N_PAIRS, n_rows)
+    i = np.arange(n)
+    return ((i + i * _GOLDEN % 1.0) * (n_rows / max(n, 1))).astype(np.intp)
+
+
+def _shared_structure(pairs: _RowPairs) -> _Structure:
+    n = max(float(pairs.weight.sum()), 1.0)
+    about_upper = (pairs.upper - np.vdot(pairs.upper, pairs.weight) / n) * pairs.weight
+    about_lower = (pairs.lower - np.vdot(pairs.lower, pairs.weight) / n) * pairs.weight
+    shared = float(np.vdot(about_upper, about_lower)) / n
+    variance = float(np.vdot(about_upper, about_upper)) / n
+    inner = pairs.weight[:, 2 * _MARGIN_PX :] * pairs.weight[:, : -2 * _MARGIN_PX]
+    curved = np.vdot(_second_difference(pairs.upper) * inner, _second_difference(pairs.lower))
+    return _Structure(
+        variance=shared if shared > _MIN_SHARED_PART * variance else 0.0,
+        curvature=float(curved) / max(float(inner.sum()), 1.0),
+    )
 
 
 def _second_difference(rows: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -98,23 +143,3 @@ def _second_difference(rows: NDArray[np.float32]) -> NDArray[np.float32]:
         rows[:, _MARGIN_PX + shift : last - _MARGIN_PX + shift] for shift in (-1, 0, 1)
     )
     return left - 2 * middle + right
-
-
-def _shared_variance(image: GreyImage, within: Mask) -> float:
-    """Give the covariance of neighbouring rows; 0 if there is next to nothing but noise."""
-    upper, lower, weight = _row_pairs(image, within)
-    n = max(float(weight.sum()), 1)
-    about_upper = (upper - np.vdot(upper, weight) / n) * weight
-    about_lower = (lower - np.vdot(lower, weight) / n) * weight
-    shared = float(np.vdot(about_upper, about_lower)) / n
-    variance = float(np.vdot(about_upper, about_upper)) / n
-    return shared if shared > _MIN_SHARED_PART * variance else 0.0
-
-
-def _row_pairs(
-    image: GreyImage, within: Mask
-) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-    """Give upper and lower rows of pairs of neighbours, and 1 where both are looked at, else 0."""
-    upper, lower = image[:-1:_ROW_STEP], image[1::_ROW_STEP]
-    both = within[:-1:_ROW_STEP] & within[1::_ROW_STEP]
-    return upper.astype(np.float32), lower.astype(np.float32), both.astype(np.float32)

@@ -1,6 +1,5 @@
 """Datasets made from images and poses that others recorded, so that they can be scored."""
 
-import json
 import os
 import socket
 from collections.abc import Sequence
@@ -13,30 +12,23 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from tronlab.calib.offline.cameras import read_camera
-from tronlab.calib.record import CalibrationRecord
+from tronlab.campaign.camera_file import CameraFile, camera_beside, read_camera_file
 from tronlab.campaign.config import DatabaseConfig
 from tronlab.campaign.live import Live, SilentLive
 from tronlab.campaign.provenance import software_versions
 from tronlab.campaign.reference import render_references
 from tronlab.campaign.rig import Rig, load_rig
-from tronlab.dataset.exchange.folder import CAMERA_JSON
-from tronlab.dataset.exchange.foreign import (
-    TUM_MAX_DIFFERENCE_S,
-    ForeignSet,
-    ForeignShot,
-    read_folder,
-    read_tum,
-    shot_record,
-)
+from tronlab.dataset.exchange.folder_import import read_folder
+from tronlab.dataset.exchange.foreign import ForeignSet, ForeignShot, shot_record
 from tronlab.dataset.exchange.staging import staged_folder
 from tronlab.dataset.exchange.text_files import read_text
+from tronlab.dataset.exchange.tum_import import TUM_MAX_DIFFERENCE_S, read_tum
 from tronlab.dataset.journal import Journal
 from tronlab.dataset.location import DATASET_NAME
 from tronlab.dataset.records import Provenance, ReferenceView, Session, ShotRecord
 from tronlab.dataset.skeleton import utc_now
 from tronlab.dataset.writer import DatasetWriter
-from tronlab.errors import CalibrationError, DatasetError
+from tronlab.errors import DatasetError
 from tronlab.geometry.camera import CameraModel
 from tronlab.geometry.poses import FloatArray
 from tronlab.planning.shots import database_indices, range_los_m
@@ -46,18 +38,6 @@ from tronlab.render.renderer import Lamp
 from tronlab.terrain.heightmap import HeightMap
 
 _UNKNOWN_RIG = "unknown"
-_NO_RECORD = "{}"
-"""Stands for the calibration record, which a foreign set does not have."""
-
-
-@dataclass(frozen=True)
-class _Camera:
-    """Intrinsics, and the rest of the calibration record if they come from one."""
-
-    model: CameraModel
-    path: Path
-    record: CalibrationRecord | None = None
-    record_text: str = _NO_RECORD
 
 
 @dataclass(frozen=True)
@@ -110,7 +90,7 @@ def import_folder(
         out_dir,
         name=name,
         sources=(csv_path,),
-        camera=_read_camera(camera_path or _camera_beside(csv_path)),
+        camera=read_camera_file(camera_path or camera_beside(csv_path)),
         model=_read_model(rig_path, live),
         live=live,
     )
@@ -160,7 +140,7 @@ def import_tum(
         out_dir,
         name=name,
         sources=(images_path, trajectory_path),
-        camera=_read_camera(camera_path),
+        camera=read_camera_file(camera_path),
         model=_read_model(rig_path, live),
         live=live,
     )
@@ -172,19 +152,19 @@ def _import(
     *,
     name: str | None,
     sources: Sequence[Path],
-    camera: _Camera,
+    camera: CameraFile,
     model: _Model | None,
     live: Live,
 ) -> Path:
     n_shots = len(foreign.shots)
     for note in foreign.notes:
         live.announce(note)
-    ranges_m = [_range_los_m(shot, model) for shot in foreign.shots]
     provenance = _provenance(
         name or out_dir.name, sources=sources, n_shots=n_shots, camera=camera, model=model
     )
     with staged_folder(out_dir) as folder:
         path = folder / DATASET_NAME
+        ranges_m = [_range_los_m(shot, model) for shot in foreign.shots]
         views = _views(foreign, camera, model, live)
         session = _session(provenance, sources=sources, camera=camera, model=model)
         with DatasetWriter(path, provenance, session=session) as writer:
@@ -206,54 +186,6 @@ def _commit(writer: DatasetWriter, record: ShotRecord, where: str) -> None:
     except DatasetError as error:
         # The file has its name only when all is well: nobody knows it by that of now.
         raise DatasetError(f"{where}: {str(error).removeprefix(f'{writer.path}: ')}") from error
-
-
-def _camera_beside(csv_path: Path) -> Path:
-    path = csv_path.parent / CAMERA_JSON
-    if not path.is_file():
-        raise DatasetError(
-            f"{csv_path}: there is no {CAMERA_JSON} beside it; name the camera's intrinsics with"
-            " --camera"
-        )
-    return path
-
-
-def _read_camera(path: Path) -> _Camera:
-    """Read intrinsics: tronlab's own two kinds of JSON, or another program's camera file.
-
-    Raises:
-        CalibrationError: The file cannot be read, or is no camera.
-    """
-    if path.suffix.lower() != ".json":
-        return _Camera(read_camera(path), path)
-    text = read_text(path)
-    values = _json_object(text, path)
-    if "width_px" in values:
-        try:
-            return _Camera(_checked(CameraModel.from_dict(values)), path)
-        except CalibrationError as error:
-            raise CalibrationError(f"{path}: {error}") from error
-    record = CalibrationRecord.from_json(text, source=str(path))
-    return _Camera(record.camera, path, record, text)
-
-
-def _json_object(text: str, path: Path) -> dict[str, object]:
-    try:
-        values = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise CalibrationError(f"{path}:{error.lineno}: not JSON: {error.msg}") from error
-    if not isinstance(values, dict):
-        raise CalibrationError(f"{path}: is no camera: expected an object of width_px, fx_px, ...")
-    return values
-
-
-def _checked(camera: CameraModel) -> CameraModel:
-    numbers = (camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, *camera.distortion)
-    if not np.isfinite(numbers).all():
-        raise CalibrationError("a number is not finite")
-    if min(camera.fx_px, camera.fy_px, *camera.shape) <= 0:
-        raise CalibrationError("focal lengths and image size must be above 0")
-    return camera
 
 
 def _read_model(rig_path: Path | None, live: Live) -> _Model | None:
@@ -296,7 +228,7 @@ def _mask(shot: ForeignShot, camera: CameraModel, model: _Model | None) -> NDArr
 
 
 def _views(
-    foreign: ForeignSet, camera: _Camera, model: _Model | None, live: Live
+    foreign: ForeignSet, camera: CameraFile, model: _Model | None, live: Live
 ) -> tuple[ReferenceView, ...]:
     """Give the set's own reference views, else render some, else none."""
     if foreign.views:
@@ -330,7 +262,7 @@ def _reference_poses(foreign: ForeignSet, live: Live) -> list[RigidTransform]:
     return [shot.trs_from_cam_nominal for shot in chosen]
 
 
-def _p_lamp_trs_m(camera: _Camera, rig: Rig, live: Live) -> FloatArray:
+def _p_lamp_trs_m(camera: CameraFile, rig: Rig, live: Live) -> FloatArray:
     if camera.record is not None and camera.record.results.lamp is not None:
         return camera.record.p_lamp_trs_m
     live.announce(f"reference views are lit from where {rig.path} has the lamp by design")
@@ -338,7 +270,7 @@ def _p_lamp_trs_m(camera: _Camera, rig: Rig, live: Live) -> FloatArray:
 
 
 def _provenance(
-    name: str, *, sources: Sequence[Path], n_shots: int, camera: _Camera, model: _Model | None
+    name: str, *, sources: Sequence[Path], n_shots: int, camera: CameraFile, model: _Model | None
 ) -> Provenance:
     return Provenance(
         campaign_name=name,
@@ -356,7 +288,7 @@ def _provenance(
 
 
 def _session(
-    provenance: Provenance, *, sources: Sequence[Path], camera: _Camera, model: _Model | None
+    provenance: Provenance, *, sources: Sequence[Path], camera: CameraFile, model: _Model | None
 ) -> Session:
     return Session(
         number=1,

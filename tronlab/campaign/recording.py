@@ -36,6 +36,8 @@ from tronlab.render.renderer import Lamp
 
 _SPARE_ROWS = 32
 """Room in the dataset for shots that are taken again during the run."""
+_SPARE_CHECKS = 8
+"""Likewise for drift checks: whoever has shots taken again after the last one gets another."""
 
 
 @dataclass(frozen=True)
@@ -132,6 +134,8 @@ def _vigil(assignment: Assignment, devices: Devices, live: Live) -> Vigil | None
         watch,
         assignment.acceptances[0],
         on_retry=lambda attempt, error: live.announce(f"drift check, attempt {attempt}: {error}"),
+        retry=job.campaign.config.retry,
+        sleep=devices.clock.advance,
     )
     if vigil.first.is_within:
         live.announce(watch.describe(vigil.first))
@@ -162,15 +166,16 @@ def _record(
             chronicle.of_session(session, taker),
             stopped_by_ctrl_c(stop, announce=live.announce, can_pause=console is not None),
         ):
-            drift = vigil and vigil.checks(
-                writer.commit_drift,
-                n_shots=len(assignment.shots),
-                stop=stop,
-                announce=live.announce,
-            )
+            drift = vigil and vigil.checks(writer.commit_drift, announce=live.announce)
             if assignment.shots:
+                live.expect(
+                    {
+                        shot.shot.shot_id: shot.duration.move_s
+                        for shot in assignment.foresight.assessment.shots
+                    }
+                )
                 devices.room.switch_lamp(on=True)
-                run_shots(
+                outcome = run_shots(
                     Plan(assignment.shots),
                     taker,
                     commit=chronicle.commit,
@@ -181,6 +186,7 @@ def _record(
                     free_bytes=lambda: shutil.disk_usage(path.parent).free,
                     n_spare_rows=_SPARE_ROWS,
                 )
+                chronicle.note_skipped(outcome.skipped)
     if path.exists():
         live.announce(describe_accuracy(path))
 
@@ -222,17 +228,19 @@ def _open_writer(assignment: Assignment, session: Session, vigil: Vigil | None) 
     else:
         writer = DatasetWriter(
             assignment.dataset_path,
-            _provenance(assignment, session),
+            provenance_of(assignment, session),
             session=session,
             segment_shots=segment_shots,
             n_spare_rows=_SPARE_ROWS,
         )
     if vigil is not None:
-        writer.plan_drift_checks(vigil.watch.reflectors, n_checks(n_rows, vigil.watch.config))
+        n_planned = n_checks(n_rows, vigil.watch.config) + _SPARE_CHECKS
+        writer.plan_drift_checks(vigil.watch.reflectors, n_planned)
     return writer
 
 
-def _provenance(assignment: Assignment, session: Session) -> Provenance:
+def provenance_of(assignment: Assignment, session: Session) -> Provenance:
+    """Say where a new dataset comes from."""
     job = assignment.job
     return Provenance(
         campaign_name=job.campaign.name,

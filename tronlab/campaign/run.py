@@ -1,12 +1,15 @@
 """Run a campaign: from its YAML file to a recorded dataset, in one session or several."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Sequence
+from contextlib import contextmanager, suppress
+from datetime import datetime
 from pathlib import Path
 
 from tronlab.campaign.acceptance import Acceptance
 from tronlab.campaign.chronicle import CampaignInterrupted
 from tronlab.campaign.console import Console
 from tronlab.campaign.continuation import (
+    GivenFiles,
     Recorded,
     chosen_shots,
     dataset_in,
@@ -25,6 +28,7 @@ from tronlab.dataset.lock import run_lock
 from tronlab.dataset.records import SessionKind
 from tronlab.errors import ConfigError
 from tronlab.planning.shots import Shot
+from tronlab.planning.summary import brief_summary
 
 __all__ = ["CampaignInterrupted", "resume_campaign", "retake_shots", "run_campaign"]
 
@@ -73,8 +77,7 @@ def run_campaign(
     files = Files(campaign_path, rig_path, calibration_path)
     job = read_job(files, seed=seed, acceptance=acceptance)
     path = new_dataset_path(out_dir or DEFAULT_OUT_DIR / job.campaign.name)
-    _make_folder(path.parent)
-    with run_lock(path):
+    with _folder(path.parent), run_lock(path):
         foresight = _foresee(job, live)
         record(
             Assignment(
@@ -95,7 +98,7 @@ def run_campaign(
 def resume_campaign(
     folder: Path,
     *,
-    files: Files | None = None,
+    files: GivenFiles | None = None,
     is_calibration_accepted: bool = False,
     are_changes_accepted: bool = False,
     live: Live | None = None,
@@ -106,8 +109,7 @@ def resume_campaign(
 
     Args:
         folder: Of the dataset.
-        files: Files to use instead of those of the dataset's last session; None for each that
-            is the same.
+        files: To use instead of those of the dataset's last session.
         is_calibration_accepted: As for ``run_campaign``.
         are_changes_accepted: Whether to go on although plan, rig or calibration record are not
             what they were; the dataset says so.
@@ -127,7 +129,7 @@ def resume_campaign(
         folder,
         "resume",
         lambda job, recorded: missing_shots(job.plan, recorded),
-        files=files,
+        files=files or GivenFiles(),
         is_calibration_accepted=is_calibration_accepted,
         are_changes_accepted=are_changes_accepted,
         live=live or SilentLive(),
@@ -140,7 +142,7 @@ def retake_shots(
     folder: Path,
     shot_ids: Sequence[int] | None,
     *,
-    files: Files | None = None,
+    files: GivenFiles | None = None,
     is_calibration_accepted: bool = False,
     are_changes_accepted: bool = False,
     live: Live | None = None,
@@ -175,7 +177,7 @@ def retake_shots(
         folder,
         "retake",
         choose,
-        files=files,
+        files=files or GivenFiles(),
         is_calibration_accepted=is_calibration_accepted,
         are_changes_accepted=are_changes_accepted,
         live=live or SilentLive(),
@@ -189,7 +191,7 @@ def _go_on(
     kind: SessionKind,
     choose: Callable[[Job, Recorded], tuple[Shot, ...]],
     *,
-    files: Files | None,
+    files: GivenFiles,
     is_calibration_accepted: bool,
     are_changes_accepted: bool,
     live: Live,
@@ -230,6 +232,7 @@ def _foresee(job: Job, live: Live) -> Foresight:
         PlanError: One cannot, and the campaign does not want it skipped.
     """
     foresight = foresee(job.campaign, job.rig, job.calibration, live=live)
+    live.announce(brief_summary(foresight.assessment, begun=datetime.now().astimezone()))
     if job.campaign.config.plan.on_refused == "stop":
         refuse(foresight)
     return foresight
@@ -241,8 +244,15 @@ def _in_order(foresight: Foresight, shots: Sequence[Shot]) -> tuple[Shot, ...]:
     return tuple(shot for shot in foresight.plan.shots if shot.shot_id in wanted)
 
 
-def _make_folder(folder: Path) -> None:
+@contextmanager
+def _folder(folder: Path) -> Generator[None]:
+    """Make a folder, and remove it again if nothing came into it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigError(f"--out {folder}: cannot be made: {error.strerror}") from error
+    try:
+        yield
+    finally:
+        with suppress(OSError):  # there is something in it
+            folder.rmdir()

@@ -45,17 +45,14 @@ class StopRequest:
             for callback in self._callbacks:
                 callback()
 
-    def withdraw(self) -> bool:
+    def withdraw(self) -> None:
         """Forget that it was asked once: a person says that the run goes on.
 
-        Returns:
-            Whether it may: not if it was asked to stop in the meantime.
+        A second request in the meantime stands.
         """
         with self._lock:
-            if self.is_at_once or self._is_final:
-                return False
-            self._n_asked = 0
-            return True
+            if not self.is_at_once:
+                self._n_asked = 0
 
     def on_at_once(self, callback: Callable[[], None]) -> None:
         """Have ``callback`` called when the run must stop at once, in the order they came."""

@@ -38,7 +38,7 @@ def validate(
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Check a dataset from its counter to the last pixel.
+    """Check a dataset to the last pixel.
 
     Exit code 0: sound, though perhaps incomplete, which notes say; 1: damaged or contradicting
     itself, or with --strict worth a note; 2: cannot be opened.
@@ -86,7 +86,10 @@ def note(
         str, typer.Option(metavar="NAME", help="Who says so.  [default: the user's name]")
     ] = "",
 ) -> None:
-    """Write a note into the journal of a dataset, also while a run records it."""
+    """Write a note into a dataset's journal.
+
+    Also while a run records it.
+    """
     import getpass
     import sys
 

@@ -12,7 +12,7 @@ from tronlab.cli.exit_codes import INTERRUPTED
 import_app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode=None,
-    help="Make a dataset of images and poses that others recorded, so that it can be scored.",
+    help="Make a dataset of what others recorded.",
 )
 
 
@@ -33,7 +33,10 @@ def export(
         Path, typer.Option(metavar="DIR", help="The new folder; it must not exist yet.")
     ],
 ) -> None:
-    """Write the shots of a dataset in a format of others, into a new folder."""
+    """Write a dataset in a format of others.
+
+    Formats and conventions: docs/reference/exchange.md.
+    """
     from tronlab.campaign.live import open_live
     from tronlab.dataset.exchange.export import export as export_to
     from tronlab.dataset.location import dataset_in
@@ -90,7 +93,7 @@ def import_folder(
     ] = None,
     name: _Name = None,
 ) -> None:
-    """Make a dataset of a table of images and poses, with the camera's intrinsics."""
+    """Make a dataset of a table of images."""
     from tronlab.campaign.importing import import_folder as make
     from tronlab.campaign.live import open_live
 
@@ -136,7 +139,7 @@ def import_tum(
     ] = 0.0,
     name: _Name = None,
 ) -> None:
-    """Make a dataset of an image list and a trajectory as of the TUM RGB-D benchmark."""
+    """Make a dataset of a TUM RGB-D sequence."""
     from tronlab.campaign.importing import import_tum as make
     from tronlab.campaign.live import open_live
 

@@ -29,7 +29,11 @@ def pack(
         ),
     ] = False,
 ) -> None:
-    """Make one compressed file of a dataset, to keep it or to hand it on; no bit changes."""
+    """Make one compressed file of a dataset.
+
+    No bit of image, mask or value changes; the journal goes into the file too. It is read back and
+    verified before it gets its name.
+    """
     from tronlab.campaign.live import open_live
     from tronlab.dataset.location import dataset_in
     from tronlab.dataset.pack import pack as pack_into
@@ -60,7 +64,10 @@ def migrate(
         typer.Option(metavar="NEW.h5", help="The new file (default: beside it, NAME.migrated.h5)."),
     ] = None,
 ) -> None:
-    """Write a dataset of an older layout in the layout of today, as a new file."""
+    """Write an older dataset in the layout of today.
+
+    Older layouts are read all the same; nothing needs this to be done.
+    """
     from tronlab.campaign.live import open_live
     from tronlab.dataset.location import dataset_in
     from tronlab.dataset.migrate import migrate as migrate_into
@@ -107,7 +114,11 @@ def recompute_truth(
         ),
     ] = False,
 ) -> None:
-    """Compute the ground truth again with another calibration record, into a new file."""
+    """Compute truth anew by another calibration.
+
+    Readings and images stay; truth, masks and reference views follow from the record, in a new
+    file.
+    """
     from tronlab.campaign.live import open_live
     from tronlab.campaign.recompute import recompute_truth as recompute
     from tronlab.dataset.location import dataset_in

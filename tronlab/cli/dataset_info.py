@@ -23,7 +23,10 @@ def info(
     *,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Show what a dataset holds, how its recording went, and where its time went."""
+    """Show what a dataset holds.
+
+    Also how its recording went, where its time went, and who records into it now.
+    """
     import json
     import sys
 

@@ -109,7 +109,7 @@ def _report(
     from tronlab.campaign.provenance import software_versions
     from tronlab.planning.summary import verdict
     from tronlab.report.plan import PlanReport
-    from tronlab.report.plan_scene import Stage
+    from tronlab.report.plan_stage import Stage
 
     config, assessment = job.campaign.config, foresight.assessment
     can_run, text = verdict(assessment, leaves_out_refused=config.plan.on_refused == "skip")

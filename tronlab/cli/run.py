@@ -2,7 +2,7 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TextIO
 
 import typer
 
@@ -84,8 +84,7 @@ def run(
     note, abort. Ctrl-C again stops the robot at once. Whatever ended a run, be it a power cut,
     --resume takes the shots that are missing; --retake takes shots again.
     """
-    from tronlab.campaign.continuation import parse_shot_ids
-    from tronlab.campaign.job import Files
+    from tronlab.campaign.continuation import GivenFiles, parse_shot_ids
     from tronlab.campaign.live import open_live
     from tronlab.campaign.run import resume_campaign, retake_shots, run_campaign
 
@@ -97,10 +96,11 @@ def run(
         accept_changes=accept_changes,
     )
     shot_ids = None if shots is None else parse_shot_ids(shots)
-    files = Files(campaign, rig, calibration)
+    files = GivenFiles(campaign, rig, calibration)
     try:
-        with open_live(sys.stderr) as live:
-            console = _console(live)
+        terminal = sys.stderr  # while the live view is open, a stand-in of it is in sys
+        with open_live(terminal) as live:
+            console = _console(live, terminal)
             if resume is not None:
                 path = resume_campaign(
                     resume,
@@ -178,10 +178,10 @@ def _given(campaign: Path | None) -> Path:
     return campaign
 
 
-def _console(live: "Live") -> "Console | None":
+def _console(live: "Live", terminal: TextIO) -> "Console | None":
     """Give somebody to ask when the run is paused, if a person sits at a terminal."""
     from tronlab.campaign.console import TerminalConsole
 
-    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+    if not (sys.stdin.isatty() and terminal.isatty()):
         return None
-    return TerminalConsole(sys.stdin, sys.stderr, undisturbed=live.suspended)
+    return TerminalConsole(sys.stdin, terminal, undisturbed=live.suspended)

@@ -62,7 +62,7 @@ def begin(
         n_shots_planned=provenance.n_shots_planned,
     )
 
-    master = Master(path, beginning.uuid)
+    master = Master(path)
 
     def build(file: h5py.File) -> None:
         skeleton.create_skeleton(file, provenance, uuid=beginning.uuid, n_rows=beginning.room)
@@ -70,7 +70,7 @@ def begin(
             write_session(file, session)
 
     try:
-        master.create(build)
+        master.create(build, beginning.room * schema.ROW_BYTES)
     except (OSError, RuntimeError, ValueError, TypeError) as error:
         raise DatasetError(f"{path}: cannot be set up: {error}") from error
     return master, beginning
@@ -96,10 +96,10 @@ def begin_again(
     beginning = _with_room(path, found, n_rows=n_rows, segment_shots=segment_shots)
     if n_shots_planned is not None:
         beginning = replace(beginning, n_shots_planned=n_shots_planned)
-    master = Master(path, beginning.uuid)
+    master = Master(path)
     try:
         master.copy()
-        with master.structure() as file:
+        with master.structure(beginning.room * schema.ROW_BYTES) as file:
             _prepare(file, beginning, sessions)
         for row in damaged:
             _drop(master, row)

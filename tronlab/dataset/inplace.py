@@ -4,7 +4,6 @@ Once the structure of a file is made, nothing but these bytes changes: neither a
 disk can leave the structure half changed, and readers may open the file meanwhile.
 """
 
-import fcntl
 import math
 import os
 from pathlib import Path
@@ -27,8 +26,6 @@ class InPlaceFile:
         """
         self._places = _places(path)
         self._descriptor = os.open(path, os.O_RDWR)
-        # HDF5 takes the same lock for reading: readers are welcome, whoever wants to write is not.
-        fcntl.flock(self._descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
 
     def __enter__(self) -> Self:
         return self
@@ -93,7 +90,7 @@ def _places(path: Path) -> dict[str, tuple[int, np.dtype[Any], tuple[int, ...]]]
         if isinstance(item, h5py.Dataset) and _is_contiguous(item):
             places[name] = (item.id.get_offset(), item.dtype, item.shape)
 
-    with h5py.File(path, "r") as file:
+    with h5py.File(path, "r", locking=False) as file:
         file.visititems(note)
     return places
 

@@ -5,6 +5,7 @@ structure may change; afterwards only bytes in place do.
 """
 
 import fcntl
+import os
 import shutil
 from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
@@ -13,34 +14,39 @@ from pathlib import Path
 import h5py
 from numpy.typing import ArrayLike
 
-from tronlab.dataset import places
+from tronlab.dataset import places, schema
 from tronlab.dataset.inplace import InPlaceFile
 from tronlab.dataset.segments import uuid_of
+from tronlab.dataset.skeleton import dataset_at
 from tronlab.errors import DatasetError
 
 
 class Master:
     """The file that holds everything of a dataset besides the images of its segments."""
 
-    def __init__(self, path: Path, uuid: str) -> None:
-        """Remember its name and its dataset; ``create`` or ``copy`` makes it."""
+    def __init__(self, path: Path) -> None:
+        """Remember its name; ``create`` or ``copy`` makes it."""
         self.path = path
-        self._uuid = uuid
         self.is_open = True
         self.is_published = False
         self._part = places.part_of(path)
         self._values: InPlaceFile | None = None
+        self._guard: int | None = None
+        """Descriptor that keeps other writers away; readers are welcome."""
 
-    def create(self, build: Callable[[h5py.File], None]) -> None:
-        """Make a new file.
+    def create(self, build: Callable[[h5py.File], None], n_bytes: int) -> None:
+        """Make a new file of about so many bytes.
 
         Raises:
             DatasetError: Another process makes it at this moment.
             OSError, RuntimeError, ValueError, TypeError: It cannot be made.
         """
         self._clear_away()
-        with self._removed_on_failure(), h5py.File(self._part, "x") as file:
-            build(file)
+        with self._removed_on_failure():
+            self._keep_others_away()
+            places.probe_room(self._part, n_bytes)
+            with h5py.File(self._part, "w", locking=False) as file:
+                build(file)
 
     def copy(self) -> None:
         """Begin with a copy of the file as it is.
@@ -51,6 +57,7 @@ class Master:
         """
         self._clear_away()
         with self._removed_on_failure():
+            self._keep_others_away()
             places.probe_room(self._part, self.path.stat().st_size)
             shutil.copyfile(self.path, self._part)
 
@@ -67,7 +74,7 @@ class Master:
             raise DatasetError(f"{self.path}: has shots already; its structure is fixed")
         places.probe_room(self._part, n_bytes)
         self._close_values()
-        with self._removed_on_failure(), h5py.File(self._part, "r+") as file:
+        with self._removed_on_failure(), h5py.File(self._part, "r+", locking=False) as file:
             yield file
 
     def write(self, path: str, value: ArrayLike) -> None:
@@ -108,8 +115,16 @@ class Master:
         """Close the file; without its name it is removed. May be called twice."""
         self._close_values()
         if self.is_open and not self.is_published:
-            self._discard(self._uuid)
+            self._discard()
+        if self._guard is not None:
+            os.close(self._guard)
+            self._guard = None
         self.is_open = False
+
+    def _keep_others_away(self) -> None:
+        self._guard = os.open(self._part, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
+        # HDF5 takes the same lock for reading, and an exclusive one for writing.
+        fcntl.flock(self._guard, fcntl.LOCK_SH | fcntl.LOCK_NB)
 
     def _open_values(self) -> InPlaceFile:
         if self._values is None:
@@ -140,15 +155,30 @@ class Master:
                 raise DatasetError(
                     f"{self.path}: is being written by another process; wait until that has ended"
                 ) from error
-            self._discard(uuid_of(self._part))
+            self._discard()
 
-    def _discard(self, uuid: str | None) -> None:
-        """Remove the file, and the first segment of a dataset that never got its name."""
-        folder = places.images_folder(self.path)
-        if uuid is not None and not self.path.exists():
-            for segment in folder.glob("*.h5"):
-                if uuid_of(segment) == uuid:
-                    places.remove(segment)
-            with suppress(OSError):
-                folder.rmdir()  # unless something else is in it
+    def _discard(self) -> None:
+        """Remove the file, and what was made beside it for a dataset that never got its name."""
+        if not self.path.exists():
+            self._discard_segments()
         places.remove(self._part)
+
+    def _discard_segments(self) -> None:
+        """Remove the segments of the file if it counts no shots: then they hold none."""
+        uuid = _uuid_without_shots(self._part)
+        folder = places.images_folder(self.path)
+        for segment in folder.glob("*.h5"):
+            if uuid is not None and uuid_of(segment) == uuid:
+                places.remove(segment)
+        with suppress(OSError):
+            folder.rmdir()  # unless something else is in it
+
+
+def _uuid_without_shots(part: Path) -> str | None:
+    """Give which dataset a file is; None if it has shots, or does not say."""
+    try:
+        with h5py.File(part, "r", locking=False) as file:
+            n_committed = int(dataset_at(file, schema.N_COMMITTED)[()])
+    except (OSError, RuntimeError, KeyError):
+        return None
+    return uuid_of(part) if n_committed == 0 else None

@@ -17,12 +17,16 @@ class Packed:
     """Of all files of the dataset, on the disk."""
     n_bytes: int
 
+    @property
+    def ratio(self) -> float:
+        """Get how many bytes one byte holds now."""
+        return self.n_bytes_before / self.n_bytes
+
     def __str__(self) -> str:
         """Give it in a line."""
-        ratio = self.n_bytes_before / self.n_bytes
         return (
             f"{self.n_bytes_before / 1e6:.1f} MB packed into {self.n_bytes / 1e6:.1f} MB"
-            f" (1/{ratio:.2f})"
+            f" (1/{self.ratio:.2f})"
         )
 
 

@@ -72,7 +72,7 @@ def probe_room(file: Path, n_bytes: int) -> None:
         OSError: The disk is too small, or the operating system refuses.
     """
     free = shutil.disk_usage(file.parent).free
-    if free < n_bytes:
+    if free < n_bytes + STRUCTURE_BYTES:
         text = f"{n_bytes / 1e6:.0f} MB needed, only {free / 1e6:.0f} MB free; free some space"
         raise OSError(errno.ENOSPC, text)
     with file.open("ab") as probed:

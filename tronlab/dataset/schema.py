@@ -377,6 +377,10 @@ CHECKSUM_COLUMNS: Final[tuple[Column, ...]] = tuple(
 ROW_COLUMNS: Final[tuple[Column, ...]] = (*COLUMNS, SUPERSEDES_COLUMN, *CHECKSUM_COLUMNS)
 """Everything with one row a shot, besides image and mask."""
 
+ROW_BYTES: Final = sum(
+    np.dtype(column.dtype).itemsize * math.prod(column.shape) for column in ROW_COLUMNS
+)
+
 VALUES_ORDER: Final = (*(column.path for column in COLUMNS), SUPERSEDES)
 """The columns in the order their checksum takes them."""
 

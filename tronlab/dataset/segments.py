@@ -140,7 +140,7 @@ def create_segment(
 def uuid_of(path: Path) -> str | None:
     """Give the dataset that a file belongs to, or is; None if it does not say."""
     try:
-        with h5py.File(path, "r") as file:
+        with h5py.File(path, "r", locking=False) as file:
             value = file[schema.UUID][()]  # pyright: ignore[reportIndexIssue]
     except (OSError, KeyError, RuntimeError):
         return None

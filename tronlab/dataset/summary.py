@@ -66,7 +66,7 @@ def skipped_shots(dataset: Dataset, entries: Iterable[JournalEntry]) -> dict[int
     """Give the shots that were given up and are still missing: why, by id."""
     taken = set(dataset.shot_ids.tolist())
     skipped = {
-        int(entry.fields["shot_id"]): entry.text
+        int(entry.fields["shot_id"]): entry.text.removeprefix(f"shot {entry.fields['shot_id']}: ")
         for entry in entries
         if entry.kind == "skipped" and "shot_id" in entry.fields
     }

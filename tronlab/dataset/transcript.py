@@ -1,11 +1,13 @@
 """A dataset of any readable layout written anew, as one file of the present layout."""
 
 import json
+import math
+import os
 from collections.abc import Callable, Generator
 from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Final, TypeAlias
 from uuid import uuid4
 
 import h5py
@@ -19,6 +21,7 @@ from tronlab.dataset.hdf5 import Hdf5Reader
 from tronlab.dataset.journal import read_journal
 from tronlab.dataset.lock import lock_holder
 from tronlab.dataset.opening import open_dataset
+from tronlab.dataset.places import probe_room
 from tronlab.dataset.reader import Dataset
 from tronlab.dataset.sessions import write_session
 from tronlab.dataset.skeleton import dataset_at
@@ -26,6 +29,9 @@ from tronlab.errors import DatasetError, IntegrityError
 
 OnStage: TypeAlias = Callable[[str, int, int], None]
 """Told the name of a stage, how much of it is done, and of how much."""
+
+_BYTES_PER_PIXEL_OF_VIEW: Final = 6
+"""Of a reference view: image, depth and mask."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,24 +69,28 @@ def transcribe(
         IntegrityError: Something in it is damaged: a new file would hide that for ever.
         OSError, RuntimeError: The disk does not take it.
     """
-    with (
-        _opened(source, keeps_all_rows=keeps_all_rows) as original,
-        h5py.File(target, "x") as file,
-    ):
-        n_rows = len(original.rows)
-        skeleton.create_skeleton(
-            file,
-            original.dataset.provenance,
-            uuid=uuid or original.dataset.uuid or str(uuid4()),
-            n_rows=n_rows,
-        )
-        _write_story(file, original)
-        _write_journal(file, original)
-        _write_columns(file, original)
-        _write_drift(file, original)
-        _write_references(file, original, level)
-        _write_images(file, original, level, on_stage)
-        dataset_at(file, schema.N_COMMITTED)[()] = n_rows
+    with _opened(source, keeps_all_rows=keeps_all_rows) as original:
+        # On a full disk HDF5 cannot even close a file: it must not come to that.
+        probe_room(target, _n_bytes(original, level))
+        with h5py.File(target, "w") as file:
+            _write(file, original, level, uuid)
+            _write_images(file, original, level, target, on_stage)
+            dataset_at(file, schema.N_COMMITTED)[()] = len(original.rows)
+
+
+def _write(file: h5py.File, original: _Original, level: int | None, uuid: str | None) -> None:
+    """Write everything but the images of the shots."""
+    skeleton.create_skeleton(
+        file,
+        original.dataset.provenance,
+        uuid=uuid or original.dataset.uuid or str(uuid4()),
+        n_rows=len(original.rows),
+    )
+    _write_story(file, original)
+    _write_journal(file, original)
+    _write_columns(file, original)
+    _write_drift(file, original)
+    _write_references(file, original, level)
 
 
 @contextmanager
@@ -221,7 +231,7 @@ def _write_references(file: h5py.File, original: _Original, level: int | None) -
 
 
 def _write_images(
-    file: h5py.File, original: _Original, level: int | None, on_stage: OnStage
+    file: h5py.File, original: _Original, level: int | None, target: Path, on_stage: OnStage
 ) -> None:
     """Write images and masks; each is verified when it is read."""
     dtype = original.dataset.image_dtype
@@ -238,11 +248,27 @@ def _write_images(
         "images": (schema.IMAGE, original.dataset.stored.image),
         "masks": (schema.MASK, original.dataset.stored.mask),
     }
+    room = (os.cpu_count() or 1) * math.prod(shape[1:]) * dtype.itemsize
     for stage, (path, read) in sources.items():
         images = (read(int(row)) for row in original.rows)
         on_stage(stage, 0, shape[0])
+        probe_room(target, room)
         for n_done in fill_stack(dataset_at(file, path), images):
             on_stage(stage, n_done, shape[0])
+            probe_room(target, room)
+
+
+def _n_bytes(original: _Original, level: int | None) -> int:
+    """Give how much room there must be at the start; what images are compressed to is not known."""
+    dataset = original.dataset
+    n_values = sum(
+        np.dtype(column.dtype).itemsize * math.prod(column.shape) for column in schema.ROW_COLUMNS
+    )
+    n_pixels = math.prod(dataset.camera.shape)
+    of_images = n_pixels * (dataset.image_dtype.itemsize + 1) if dataset.image_dtype else 0
+    of_view = n_pixels * _BYTES_PER_PIXEL_OF_VIEW
+    of_row = n_values + (of_images if level is None else 0)
+    return len(original.rows) * of_row + dataset.n_references * of_view
 
 
 def verify(path: Path, *, on_stage: OnStage) -> None:
@@ -254,13 +280,18 @@ def verify(path: Path, *, on_stage: OnStage) -> None:
     with Dataset(path) as dataset:
         if damaged := dataset.shots_with_damaged_values():
             raise IntegrityError(f"{path}: the values of shots {damaged} were not written well")
-        for i in range(dataset.n_references):
-            dataset.reference(i)
-        _ = dataset.drift_checks
-        for row in range(dataset.n_rows):
-            if not dataset.stored.is_whole(row):
-                raise IntegrityError(f"{path}: the images of row {row} were not written well")
-            on_stage("verified", row + 1, dataset.n_rows)
+        try:
+            _ = dataset.drift_checks
+            for i in range(dataset.n_references):
+                dataset.reference(i)
+            for row in range(dataset.n_rows):
+                dataset.stored.image(row)
+                dataset.stored.mask(row)
+                on_stage("verified", row + 1, dataset.n_rows)
+        except IntegrityError as error:
+            raise IntegrityError(
+                f"{error.args[0]}\nthat is the new file: the disk did not keep what was written"
+            ) from error
 
 
 def silent(stage: str, n_done: int, n_all: int) -> None:

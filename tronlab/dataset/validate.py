@@ -31,6 +31,7 @@ _FOR_NOTES: tuple[_Check, ...] = (
     course.skipped,
     course.doubtful,
     course.flagged,
+    course.set_aside,
     course.strangers,
 )
 

@@ -38,6 +38,7 @@ class DatasetWriter:
     Its file gets its name with the first shot; if there never is one, nothing is left. Leaving the
     ``with`` block by an exception before ``finish`` records the exception and status ``failed``, or
     ``aborted`` for Ctrl-C. Leaving it otherwise without ``finish`` leaves the status ``running``.
+    Hold ``lock.run_lock`` meanwhile: it keeps a second recording away.
     """
 
     def __init__(
@@ -341,10 +342,10 @@ class DatasetWriter:
         }
         for path, value in {**values, **checksums}.items():
             self._master.write_row(path, row, value)
-        self._master.write(schema.N_COMMITTED, row + 1)
         if not self._master.is_published:
-            self._master.publish()
-        elif is_sync_due:
+            self._master.publish()  # before the first shot counts: a file without name has none
+        self._master.write(schema.N_COMMITTED, row + 1)
+        if is_sync_due:
             self._master.sync()
         self._note_sync(is_done=is_sync_due)
 

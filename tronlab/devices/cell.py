@@ -17,12 +17,22 @@ class BoxSpec(Model):
     low_trs_m: Vector
     high_trs_m: Vector
 
+    @model_validator(mode="after")
+    def _corners_are_ordered(self) -> "BoxSpec":
+        for axis, low, high in zip("XYZ", self.low_trs_m, self.high_trs_m, strict=True):
+            if low >= high:
+                raise ValueError(
+                    f"{axis} goes from {low:g} to {high:g} m, low_trs_m must be below high_trs_m"
+                )
+        return self
+
 
 class EnvelopeSpec(Model):
     """What could hit what."""
 
     clearance_m: NotNegative = 0.05
-    """How near anything may come to anything else."""
+    """How near the robot may come to floor, obstacles and terrain model. Its own bodies, which are
+    generous, may come near each other, but not meet."""
     plate_m: tuple[Positive, Positive, Positive] = (0.20, 0.34, 0.20)
     """Size of plate, camera, lens and T-MAC together along x, y, z of the flange."""
     plate_centre_m: Vector = (0.0, 0.0, 0.08)

@@ -87,19 +87,14 @@ BRANCHES: Final = tuple(Branch(*flags) for flags in product((False, True), repea
 
 def forward(axes_rad: ArrayLike) -> RigidTransform:
     """Give ``base_from_flange`` of axes A1 to A6, shape (6,), radians; metres."""
-    a1, a2, a3, a4, a5, a6 = np.asarray(axes_rad, dtype=np.float64)
-    column = _about_z(-a1)
-    forearm = column @ _about_y(a2 + a3)
-    hand = forearm @ _about_x(-a4) @ _about_y(a5) @ _about_x(-a6)
-    p_base = (
-        np.array([0.0, 0.0, SHOULDER_UP_M])
-        + column @ np.array([SHOULDER_OUT_M, 0.0, 0.0])
-        + column @ _about_y(a2) @ np.array([UPPER_ARM_M, 0.0, 0.0])
-        + forearm @ np.array([FOREARM_M, 0.0, -FOREARM_DROP_M])
-        + hand @ np.array([FLANGE_OUT_M, 0.0, 0.0])
-    )
+    p_base, hand = _place_and_hand(axes_rad)
     base_from_flange = Rotation.from_matrix(hand @ _AXIS_6_FROM_FLANGE)
     return RigidTransform.from_components(p_base, base_from_flange)
+
+
+def flange_place_m(axes_rad: ArrayLike) -> FloatArray:
+    """Give the origin of the flange in base, shape (3,): as ``forward``, and much faster."""
+    return _place_and_hand(axes_rad)[0]
 
 
 def inverse(
@@ -206,6 +201,22 @@ def singularities_near(axes_rad: ArrayLike) -> list[str]:
     if abs(_wrist_out_m(a)) < SINGULAR_M:
         near.append("overhead (the wrist centre is above A1)")
     return near
+
+
+def _place_and_hand(axes_rad: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Give the origin of the flange, shape (3,), and the attitude of A6, shape (3, 3), in base."""
+    a1, a2, a3, a4, a5, a6 = np.asarray(axes_rad, dtype=np.float64)
+    column = _about_z(-a1)
+    forearm = column @ _about_y(a2 + a3)
+    hand = forearm @ _about_x(-a4) @ _about_y(a5) @ _about_x(-a6)
+    p_base = (
+        np.array([0.0, 0.0, SHOULDER_UP_M])
+        + column @ np.array([SHOULDER_OUT_M, 0.0, 0.0])
+        + column @ _about_y(a2) @ np.array([UPPER_ARM_M, 0.0, 0.0])
+        + forearm @ np.array([FOREARM_M, 0.0, -FOREARM_DROP_M])
+        + hand @ np.array([FLANGE_OUT_M, 0.0, 0.0])
+    )
+    return p_base, hand
 
 
 def _wrist_out_m(axes: FloatArray) -> float:

@@ -83,6 +83,7 @@ class ShotAssessment:
     clearance_m: float
     """Least distance of arm, plate, floor, model and obstacles; negative: they meet."""
     duration: ShotDuration
+    """All 0 for a shot that is refused: it will not be taken."""
     nearest: RigidTransform | None = None
     """``trs_from_cam`` of the nearest pose found that can be taken, if this one cannot."""
 

@@ -96,7 +96,7 @@ class Scene:
                 Boxes(
                     np.eye(3),
                     (np.array(spec.low_trs_m) + spec.high_trs_m) / 2.0,
-                    np.abs(np.array(spec.high_trs_m) - spec.low_trs_m) / 2.0,
+                    (np.array(spec.high_trs_m) - spec.low_trs_m) / 2.0,
                 ),
             )
             for name, spec in self.envelope.obstacles.items()

@@ -12,6 +12,7 @@ from scipy.spatial import KDTree
 
 from tronlab.devices.protocols import MotionModel
 from tronlab.devices.readings import Posture
+from tronlab.geometry.poses import FloatArray
 from tronlab.planning.reach import check_reach_along
 from tronlab.planning.shots import Plan, Shot
 
@@ -30,14 +31,13 @@ def in_least_motion(plan: Plan, robot: MotionModel) -> Plan:
     How the robot stands at a shot may depend on the one before, so the order found is taken only if
     it is quicker with the postures it leads to. Shots out of reach come last.
     """
-    as_given = _reachable(plan.shots, robot)
-    order = least_motion([posture for _, posture in as_given], robot.move_duration_s)
-    ordered = _reachable([as_given[i][0] for i in order], robot)
-    if _chain_s(ordered, robot) >= _chain_s(as_given, robot):
+    alone = [(shot, check_reach_along([shot], robot)[0].posture) for shot in plan.shots]
+    reached = [(shot, posture) for shot, posture in alone if posture is not None]
+    order = least_motion([posture for _, posture in reached], robot.move_duration_s)
+    ordered = [reached[i][0] for i in order]
+    if _chain_s(ordered, robot) >= _chain_s(plan.shots, robot):
         return plan
-    reached = [shot for shot, _ in ordered]
-    ids = {shot.shot_id for shot in reached}
-    return Plan((*reached, *(shot for shot in plan.shots if shot.shot_id not in ids)))
+    return Plan((*ordered, *(shot for shot, posture in alone if posture is None)))
 
 
 def least_motion(postures: Sequence[Posture], duration_s: Duration) -> tuple[int, ...]:
@@ -55,9 +55,11 @@ def least_motion(postures: Sequence[Posture], duration_s: Duration) -> tuple[int
     if len(postures) < 3:
         return as_given
     legs = _Legs(postures, duration_s)
-    near = _neighbours(postures, legs)
-    found = [_mended(start, near, legs) for start in (list(as_given), _greedy(near, legs))]
-    orders = [as_given, *found, *(order[::-1] for order in found)]
+    places = np.array([[posture.rail_m, *posture.axes_rad] for posture in postures])
+    near = _neighbours(places, legs)
+    starts = as_given, _greedy(places, near, legs)
+    found = min((_mended(start, near, legs) for start in starts), key=legs.sum)
+    orders = as_given, found, found[::-1]
     return min(orders, key=lambda order: motion_s([postures[i] for i in order], duration_s))
 
 
@@ -66,17 +68,10 @@ def motion_s(postures: Sequence[Posture], duration_s: Duration) -> float:
     return sum(duration_s(a, b) for a, b in pairwise(postures))
 
 
-def _reachable(shots: Sequence[Shot], robot: MotionModel) -> list[tuple[Shot, Posture]]:
-    reaches = check_reach_along(shots, robot)
-    return [
-        (shot, reach.posture)
-        for shot, reach in zip(shots, reaches, strict=True)
-        if reach.posture is not None
-    ]
-
-
-def _chain_s(chain: Sequence[tuple[Shot, Posture]], robot: MotionModel) -> float:
-    return motion_s([posture for _, posture in chain], robot.move_duration_s)
+def _chain_s(shots: Sequence[Shot], robot: MotionModel) -> float:
+    """Give how long it takes to move through shots, those out of reach left out."""
+    postures = [reach.posture for reach in check_reach_along(shots, robot)]
+    return motion_s([posture for posture in postures if posture], robot.move_duration_s)
 
 
 class _Legs:
@@ -100,11 +95,13 @@ class _Legs:
             self._known[key] = self._duration_s(self._postures[key[0]], self._postures[key[1]])
         return self._known[key]
 
+    def sum(self, order: Sequence[int]) -> float:
+        return sum(self(a, b) for a, b in pairwise(order))
 
-def _neighbours(postures: Sequence[Posture], legs: _Legs) -> list[list[int]]:
-    """Give the nearest postures of each, nearest first."""
-    places = np.array([[posture.rail_m, *posture.axes_rad] for posture in postures])
-    n_asked = min(_N_NEAR + 1, len(postures))
+
+def _neighbours(places: FloatArray, legs: _Legs) -> list[list[int]]:
+    """Give the nearest postures of each, nearest first; places are rail and axes, shape (n, 7)."""
+    n_asked = min(_N_NEAR + 1, len(places))
     indices = np.asarray(KDTree(places).query(places, k=n_asked)[1], dtype=np.int64)
     rows: list[list[int]] = indices.tolist()
     return [
@@ -112,18 +109,22 @@ def _neighbours(postures: Sequence[Posture], legs: _Legs) -> list[list[int]]:
     ]
 
 
-def _greedy(near: Sequence[Sequence[int]], legs: _Legs) -> list[int]:
+def _greedy(places: FloatArray, near: Sequence[Sequence[int]], legs: _Legs) -> tuple[int, ...]:
     """Go from the first posture to the nearest that is left, and so on."""
     path, left = [0], set(range(1, legs.nowhere))
     while left:
         here = path[-1]
-        choice = [b for b in near[here] if b in left] or sorted(left)
-        path.append(min(choice, key=lambda b: legs(here, b)))
+        neighbours = [b for b in near[here] if b in left]
+        if neighbours:
+            path.append(min(neighbours, key=lambda b: legs(here, b)))
+        else:
+            far = np.array(sorted(left))
+            path.append(int(far[np.linalg.norm(places[far] - places[here], axis=1).argmin()]))
         left.remove(path[-1])
-    return path
+    return tuple(path)
 
 
-def _mended(path: list[int], near: Sequence[Sequence[int]], legs: _Legs) -> tuple[int, ...]:
+def _mended(path: tuple[int, ...], near: Sequence[Sequence[int]], legs: _Legs) -> tuple[int, ...]:
     """Improve a path until neither 2-opt nor Or-opt finds anything more."""
     ring = _Ring([*path, legs.nowhere])
     for _ in range(_MAX_ROUNDS):

@@ -18,15 +18,16 @@ from numpy.typing import NDArray
 
 from tronlab.devices.readings import Posture
 from tronlab.geometry.poses import FloatArray
-from tronlab.kinematics.kr16 import FLANGE_OUT_M
+from tronlab.kinematics.kr16 import AXIS_NAMES, FLANGE_OUT_M
 from tronlab.kinematics.kr16_shape import LINK_NAMES, levers_m
 from tronlab.planning.assessment import Finding
 from tronlab.planning.clearance import Distances, clearances, distances_at
-from tronlab.planning.collision import FOOT, PLATE, Clearance, Pair, Scene
+from tronlab.planning.collision import FOOT, PLATE, Clearance, Scene
 from tronlab.planning.distances import CORNER_SIGNS
 
 _FINEST_M: Final = 0.01
-_N_AXES_BEFORE: Final = {FOOT: 0, **{n: i for i, n in enumerate(LINK_NAMES, start=1)}, PLATE: 6}
+_N_AXES: Final = len(AXIS_NAMES)
+_N_AXES_BEFORE: Final = {name: i for i, name in enumerate((FOOT, *LINK_NAMES, PLATE))}
 """How many axes move each body of the robot."""
 
 
@@ -59,21 +60,21 @@ def check_clearance_along(
 
     Returns:
         One check a shot; refusals where anything comes nearer than the envelope allows, or the
-        robot meets itself.
+        robot meets itself. A way is refused only where both its ends are free: of any other it is
+        not the way that has to change.
     """
-    standing = [posture for posture in postures if posture is not None]
-    if not standing:
+    chain = [posture for posture in (start, *postures) if posture is not None]
+    if not chain:
         return tuple(ClearanceCheck(None, None, ()) for _ in postures)
-    at_shots = iter(clearances(standing, scene))
-    chain = standing if start is None else [start, *standing]
-    on_ways: list[Clearance | None] = [*passage_clearances(chain, scene)]
-    on_way = iter(on_ways if start is not None else [None, *on_ways])
-    return tuple(
-        ClearanceCheck(None, None, ())
-        if posture is None
-        else _check(next(at_shots), next(on_way), scene)
-        for posture in postures
-    )
+    at = clearances(chain, scene)
+    ways = passage_clearances(chain, scene)
+    checks = [
+        _check(before, here, way, scene)
+        for before, here, way in zip((None, *at[:-1]), at, (None, *ways), strict=True)
+    ]
+    standing = iter(checks if start is None else checks[1:])
+    nowhere = ClearanceCheck(None, None, ())
+    return tuple(nowhere if posture is None else next(standing) for posture in postures)
 
 
 def passage_clearances(postures: Sequence[Posture], scene: Scene) -> tuple[Clearance, ...]:
@@ -82,7 +83,7 @@ def passage_clearances(postures: Sequence[Posture], scene: Scene) -> tuple[Clear
     if len(states) < 2:
         return ()
     at = distances_at(states[:, 0], states[:, 1:], scene)
-    levers = _Levers.of(at.pairs, scene)
+    levers = _Levers.of(at, scene)
     # Of each motion and pair the least distance found so far.
     least_m = np.minimum(at.distance_m[:-1], at.distance_m[1:])
     ways = _Ways(
@@ -113,20 +114,28 @@ class _Levers:
     """Metres for each radian of the axes, shape (6, pairs)."""
 
     @classmethod
-    def of(cls, pairs: Sequence[Pair], scene: Scene) -> "_Levers":
+    def of(cls, distances: Distances, scene: Scene) -> "_Levers":
         envelope = scene.envelope
         corners = np.array(envelope.plate_centre_m) + CORNER_SIGNS * envelope.plate_m / 2.0
         from_wrist = corners + np.array([0.0, 0.0, FLANGE_OUT_M])
         by_body = levers_m(float(np.linalg.norm(from_wrist, axis=-1).max()))
         rail_m = float(np.linalg.norm(scene.mounting.rail_axis))
-        rail = [0.0 if set(pair) <= _N_AXES_BEFORE.keys() else rail_m for pair in pairs]
-        return cls(np.array(rail), np.stack([_of_pair(pair, by_body) for pair in pairs], axis=1))
+        n_before = [
+            [_N_AXES_BEFORE[name] for name in (pair if is_own else pair[:1])]
+            for pair, is_own in zip(distances.pairs, distances.is_own, strict=True)
+        ]
+        return cls(
+            np.where(distances.is_own, 0.0, rail_m),  # the rail carries all of the robot alike
+            np.stack([_between(by_body, n) for n in n_before], axis=1),
+        )
 
 
-def _of_pair(pair: Pair, by_body: FloatArray) -> FloatArray:
-    """Give the levers of the axes between two bodies, for the outer one of them, shape (6,)."""
-    inner, outer = sorted(_N_AXES_BEFORE.get(name, 0) for name in pair)
-    return np.where(np.arange(6) < inner, 0.0, by_body[outer - 1]) if outer else np.zeros(6)
+def _between(by_body: FloatArray, n_before: Sequence[int]) -> FloatArray:
+    """Give the levers for the outermost of bodies, of the axes that do not move all of them."""
+    outer, inner = max(n_before), min(n_before) if len(n_before) > 1 else 0
+    if outer == 0:  # the foot
+        return np.zeros(_N_AXES)
+    return np.where(np.arange(_N_AXES) < inner, 0.0, by_body[outer - 1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,14 +196,16 @@ def _is_doubtful(
     return is_open & np.logical_or.reduce(is_near & (length_m > _FINEST_M), axis=1)
 
 
-def _check(at_shot: Clearance, on_way: Clearance | None, scene: Scene) -> ClearanceCheck:
+def _check(
+    before: Clearance | None, here: Clearance, way: Clearance | None, scene: Scene
+) -> ClearanceCheck:
     allowed_m = scene.envelope.clearance_m
-    findings = [
-        Finding("collision", f"{where}{_describe(found, allowed_m)}")
-        for where, found in (("", at_shot), ("on the way there ", on_way))
-        if found is not None and found.distance_m < allowed_m
-    ]
-    return ClearanceCheck(at_shot, on_way, tuple(findings))
+    findings: tuple[Finding, ...] = ()
+    if here.distance_m < allowed_m:
+        findings = (Finding("collision", _describe(here, allowed_m)),)
+    elif before is not None and way is not None and way.distance_m < allowed_m <= before.distance_m:
+        findings = (Finding("collision", f"on the way there {_describe(way, allowed_m)}"),)
+    return ClearanceCheck(here, way, findings)
 
 
 def _describe(found: Clearance, allowed_m: float) -> str:

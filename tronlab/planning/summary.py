@@ -55,7 +55,7 @@ def full_summary(assessment: PlanAssessment, *, begun: datetime) -> str:
         [f"plan: {count_line(assessment)}"],
         list(_check_rows(assessment)),
         [*_time_rows(assessment), end_line(assessment, begun=begun)],
-        list(_refused_rows(assessment, most=N_LISTED)),
+        [*_warned_rows(assessment), *_refused_rows(assessment, most=N_LISTED)],
     ]
     return "\n\n".join("\n".join(block) for block in blocks if block)
 
@@ -164,6 +164,20 @@ def _time_rows(assessment: PlanAssessment) -> Iterator[str]:
         share = 100 * parts_s[name] / total_s if total_s > 0 else 0.0
         yield f"{label:<{width}}  {duration_text(parts_s[name]):>9}  {share:3.0f} %"
     yield f"{'total':<{width}}  {duration_text(total_s):>9}"
+
+
+def _warned_rows(assessment: PlanAssessment) -> Iterator[str]:
+    """Give the first warning of each check: the others of it are of the same kind."""
+    for name in CHECK_LABELS:
+        texts = [
+            f"shot {shot.shot.shot_id}: {finding.text}"
+            for shot in assessment.shots
+            for finding in shot.findings
+            if finding.check == name and not finding.is_refusal
+        ]
+        if texts:
+            more = f" (and {len(texts) - 1} more warnings of this kind)" if texts[1:] else ""
+            yield f"warned: {texts[0]}{more}"
 
 
 def _refused_rows(assessment: PlanAssessment, *, most: int) -> Iterator[str]:

@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from tronlab.geometry.camera import CameraModel
+from tronlab.render.mask_kernel import mark_seen
 from tronlab.render.rays import centre_rays
 from tronlab.terrain.heightmap import HeightMap
 
@@ -22,15 +23,10 @@ def model_mask(
     Returns:
         Shape (rows, columns); all False when the camera looks away, or from behind.
     """
-    rotation = trs_from_cam.rotation.as_matrix()
-    eye = trs_from_cam.translation
-    rays = centre_rays(camera)
-    direction_z = rays @ rotation[2, :2] + rotation[2, 2]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        depth = (heightmap.mean_height_trs_m - eye[2]) / direction_z
-        seen = (depth > 0) & (eye[2] > heightmap.mean_height_trs_m)
-        for axis in (0, 1):
-            direction = rays @ rotation[axis, :2] + rotation[axis, 2]
-            place = eye[axis] + depth * direction - heightmap.origin_trs_m[axis]
-            seen &= (place >= 0) & (place <= heightmap.size_m[axis])
+    seen = np.zeros(camera.shape, np.bool_)
+    corner_trs_m = heightmap.origin_trs_m[:2]
+    eye_m = trs_from_cam.translation - [*corner_trs_m, heightmap.mean_height_trs_m]
+    if eye_m[2] > 0:
+        rotation = np.ascontiguousarray(trs_from_cam.rotation.as_matrix())
+        mark_seen(centre_rays(camera), rotation, eye_m, np.array(heightmap.size_m), seen)
     return seen

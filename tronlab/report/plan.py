@@ -13,7 +13,8 @@ from tronlab.planning.assessment import PlanAssessment
 from tronlab.planning.summary import count_line, end_line
 from tronlab.report.page import PageFigure, render_template
 from tronlab.report.plan_charts import shot_charts, time_chart
-from tronlab.report.plan_scene import Stage, elevation_pictures, perspective_picture
+from tronlab.report.plan_scene import elevation_pictures, perspective_picture
+from tronlab.report.plan_stage import Stage
 from tronlab.report.plan_storyboard import predict_views, story_shots, storyboard
 from tronlab.report.plan_tables import (
     checks_table,
@@ -29,6 +30,7 @@ DOCUMENT_NAME = "plan.json"
 TABLE_NAME = "shots.csv"
 MAX_PAGE_SHOTS = 2000
 """More shots than this are not listed on the page, which must stay quick to open."""
+MAX_PAGE_REFUSED = 200
 _FIGURES = "figures"
 _STEMS = ("cell", "cell_elevations", "storyboard", "shots", "time")
 """Figures of an earlier report that the new one may not have."""
@@ -64,6 +66,8 @@ class _Page:
     end_line: str
     checks: Table
     refused: Table
+    n_refused_more: int
+    """Refused shots that are not listed."""
     cell: Sequence[PageFigure]
     storyboard: Sequence[PageFigure]
     storyboard_note: str
@@ -166,7 +170,8 @@ def _page(
         count_line=count_line(assessment),
         end_line=end_line(assessment, begun=report.begun),
         checks=checks_table(assessment),
-        refused=refused_table(assessment),
+        refused=refused_table(assessment.refused[:MAX_PAGE_REFUSED]),
+        n_refused_more=max(0, len(assessment.refused) - MAX_PAGE_REFUSED),
         cell=_cell(assessment, stage, figures) if stage else (),
         storyboard=_storyboard(assessment, stage, figures, on_view) if stage else (),
         storyboard_note=_storyboard_note(assessment),

@@ -10,8 +10,8 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
 from tronlab.geometry.poses import FloatArray
-from tronlab.planning.assess import PlanContext
 from tronlab.planning.assessment import CheckName, PlanAssessment, ShotAssessment
+from tronlab.planning.context import PlanContext
 from tronlab.planning.summary import PART_LABELS, duration_text
 from tronlab.report.style import new_figure, note, style_context
 

@@ -69,6 +69,7 @@ def draw_faces(axes: Axes, view: View, faces: Sequence[Faces]) -> None:
             edgecolors=_edges(colours, is_line)[order],
             linewidths=widths[order],
             closed=False,
+            rasterized=True,  # thousands of faces: a drawing of them would only be slow
         )
     )
 

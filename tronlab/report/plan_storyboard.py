@@ -8,8 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from tronlab.planning.assess import PlanContext
 from tronlab.planning.assessment import ShotAssessment
+from tronlab.planning.context import PlanContext
 from tronlab.planning.summary import CHECK_LABELS
 from tronlab.render.mask import model_mask
 from tronlab.render.renderer import Lamp

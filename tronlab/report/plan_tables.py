@@ -45,8 +45,8 @@ def shots_table(shots: Sequence[ShotAssessment]) -> Table:
     )
 
 
-def refused_table(assessment: PlanAssessment) -> Table:
-    """Give the refused shots, why, and the nearest pose that can be taken."""
+def refused_table(refused: Sequence[ShotAssessment]) -> Table:
+    """Give refused shots, why, and the nearest pose that can be taken."""
     return Table(
         "refused",
         "Refused shots",
@@ -61,7 +61,7 @@ def refused_table(assessment: PlanAssessment) -> Table:
                 "; ".join(finding.text for finding in shot.findings if finding.is_refusal),
                 nearest_text(shot) or "none found",
             )
-            for shot in assessment.refused
+            for shot in refused
         ),
     )
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from tronlab.dataset.exchange.association import associate
-from tronlab.dataset.exchange.foreign import TUM_MAX_DIFFERENCE_S, read_trajectory
+from tronlab.dataset.exchange.tum_import import TUM_MAX_DIFFERENCE_S, read_trajectory
 from tronlab.errors import DegenerateGeometryError, ScoreError
 from tronlab.geometry.alignment import align_points
 from tronlab.geometry.poses import FloatArray

@@ -22,11 +22,11 @@ from tronlab.devices.readings import (
 )
 from tronlab.devices.registry import CLOCK_KEY, DeviceContext
 from tronlab.errors import ConfigError, DeviceTimeoutError, LimitError, NotConnectedError
-from tronlab.kinematics.kr16 import UPRIGHT_RAD, axes_for
 from tronlab.twin.instruments import CameraOptics, Positioning, TrackerOptics, noise_of
-from tronlab.twin.reach import move_duration_s, posture_at
+from tronlab.twin.reach import likely_posture, move_duration_s, posture_at
 from tronlab.twin.sensor import HIGHEST_CODE
 from tronlab.twin.server import RemoteState
+from tronlab.twin.state import RobotState
 from tronlab.twin.truth import deviate
 from tronlab.twin.world import World, WorldSetup
 from tronlab.yaml_models import Model
@@ -98,6 +98,8 @@ class TwinRobot(_View):
         super().__init__(context)
         self._positioning = Positioning(self._world, self._rng)
         self._posture: Posture | None = None
+        self._encoders: RobotState | None = None
+        """What they said when the posture was taken."""
 
     def check(self, target: RobotTarget) -> None:
         """Return if the target can be reached."""
@@ -123,7 +125,7 @@ class TwinRobot(_View):
                 f"move: takes {duration_s:.1f} s, allowed {timeout_s:.1f} s", device=self.name
             )
         self._world.stand_robot(target, actual=self._positioning.actual(target))
-        self._posture = end
+        self._posture, self._encoders = end, RobotState.at(target)
         self._world.clock.advance(duration_s)
 
     def read(self) -> RobotReading:
@@ -149,14 +151,10 @@ class TwinRobot(_View):
 
     def _posture_now(self) -> Posture:
         """Give the posture of the last move, or a likely one if somebody else moved the robot."""
-        at = self._world.robot_at
-        axes_rad = axes_for(
-            at.base_from_flange,
-            UPRIGHT_RAD if self._posture is None else self._posture.axes_rad,
-            device=self.name,
-            call="move",
-        )
-        return Posture(at.rail_m, axes_rad)
+        encoders = self._world.state.read().robot_encoders
+        if self._posture is None or encoders != self._encoders:
+            return likely_posture(encoders.target, near=self._posture, device=self.name)
+        return self._posture
 
 
 class TwinTracker(_View):

@@ -1,6 +1,4 @@
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -9,10 +7,7 @@ from tronlab.calib.record import CalibrationRecord
 from tronlab.campaign.acceptance import Acceptance
 from tronlab.campaign.config import DriftConfig
 from tronlab.campaign.drift import DriftWatch, begin_vigil, n_checks, open_watch
-from tronlab.campaign.stop import StopRequest
-from tronlab.dataset.reader import Dataset
-from tronlab.dataset.records import Provenance
-from tronlab.dataset.writer import DatasetWriter
+from tronlab.dataset.records import DriftRecord
 from tronlab.devices.registry import Devices
 from tronlab.errors import CalibrationError, DeviceFaultError, TrackingLostError
 
@@ -52,7 +47,7 @@ def test_nothing_begins_when_the_tracker_moved_unless_accepted(
     watch: DriftWatch, laboratory: Any
 ) -> None:
     laboratory.drift_m = 0.001
-    with pytest.raises(CalibrationError, match=r"(?s)at the start: .*anew\nor use it all the same"):
+    with pytest.raises(CalibrationError, match=r"(?s)at the start: .*anew\nor go on all the same"):
         begin(watch)
     assert not begin(watch, is_accepted=True).first.is_within
 
@@ -82,58 +77,36 @@ def test_the_first_check_is_tried_again_like_a_shot(watch: DriftWatch, laborator
 
 
 @pytest.mark.parametrize(
-    ("on_drift", "n_shots_before", "is_asked", "is_raised"),
-    [
-        ("stop", 2, False, True),
-        ("continue", 2, False, False),
-        ("stop", 4, False, False),
-        ("stop", 2, True, False),
-    ],
+    ("on_drift", "is_last", "is_raised"),
+    [("stop", False, True), ("continue", False, False), ("stop", True, False)],
 )
 def test_drift_ends_a_run_that_is_not_over(
-    watch: DriftWatch,
-    laboratory: Any,
-    tmp_path: Path,
-    make_provenance: Callable[..., Provenance],
-    on_drift: str,
-    n_shots_before: int,
-    is_asked: bool,
-    is_raised: bool,
+    watch: DriftWatch, laboratory: Any, on_drift: str, is_last: bool, is_raised: bool
 ) -> None:
     config = watch.config.model_copy(update={"on_drift": on_drift})
     watch = replace(watch, config=config)
-    stop = StopRequest()
-    if is_asked:
-        stop.ask()
     announced: list[str] = []
-    with DatasetWriter(tmp_path / "a.h5", make_provenance(4)) as writer:
-        checks = begin(watch).checks(writer, n_shots=4, stop=stop, announce=announced.append)
-        laboratory.drift_m = 0.001
-        check = watch.check(n_shots_before)
-        if is_raised:
-            with pytest.raises(CalibrationError, match=r"suspect;\nmeasure anew$"):
-                checks.commit(check)
-        else:
-            checks.commit(check)
-        assert any("suspect" in text for text in announced) is not is_raised
-        writer.finish("aborted")
-    with Dataset(tmp_path / "a.h5") as dataset:
-        assert [check.is_within for check in dataset.drift_checks] == [True, False]
+    stored: list[DriftRecord] = []
+    checks = begin(watch).checks(stored.append, announce=announced.append)
+    laboratory.drift_m = 0.001
+    check = watch.check(2)
+    if is_raised:
+        with pytest.raises(CalibrationError, match=r"suspect;\nmeasure anew$"):
+            checks.commit(check, is_last)
+    else:
+        checks.commit(check, is_last)
+    assert any("suspect" in text for text in announced) is not is_raised
+    assert [check.is_within for check in stored] == [True, False]
 
 
 def test_drift_accepted_at_the_start_does_not_end_the_run_later(
-    watch: DriftWatch,
-    laboratory: Any,
-    tmp_path: Path,
-    make_provenance: Callable[..., Provenance],
+    watch: DriftWatch, laboratory: Any
 ) -> None:
     laboratory.drift_m = 0.001
     vigil = begin(watch, is_accepted=True)
     announced: list[str] = []
-    with DatasetWriter(tmp_path / "a.h5", make_provenance(4)) as writer:
-        checks = vigil.checks(writer, n_shots=4, stop=StopRequest(), announce=announced.append)
-        checks.commit(watch.check(2))
-        writer.finish("aborted")
+    checks = vigil.checks(lambda _check: None, announce=announced.append)
+    checks.commit(watch.check(2), False)
     assert "suspect" in announced[0]
 
 

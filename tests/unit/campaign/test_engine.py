@@ -74,15 +74,16 @@ def test_every_image_belongs_to_its_shot_also_after_retries(
         assert sum(record.n_failures.values()) == record.attempt - 1
 
 
-@pytest.mark.parametrize("call", ["move", "look", "measure", "grab", "read_robot", "read_room"])
 @pytest.mark.parametrize(
-    "error",
+    ("call", "error"),
     [
-        DeviceFaultError("drive off", device="robot", code=7),
-        LimitError("too far", device="robot"),
-        ZeroDivisionError("a mistake of ours"),
+        ("move", LimitError("too far", device="robot")),
+        ("look", DeviceFaultError("laser off", device="tracker", code=7)),
+        ("measure", ZeroDivisionError("a mistake of ours")),
+        ("grab", LimitError("too long", device="camera")),
+        ("read_robot", DeviceFaultError("drive off", device="robot", code=7)),
+        ("read_room", ZeroDivisionError("a mistake of ours")),
     ],
-    ids=["fault", "limit", "bug"],
 )
 def test_other_errors_end_the_run_as_they_are(
     session: RecordedSession,
@@ -201,6 +202,26 @@ def test_a_hung_device_does_not_hold_up_a_stop_at_once(
     assert log.index("stop") < log.index("close robot")
 
 
+def test_a_robot_that_does_not_end_its_move_is_stopped_again_before_it_is_closed(
+    session: RecordedSession, laboratory: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(steps, "_PATIENCE_S", 0.05)
+    stop, is_stopped_thrice = StopRequest(), threading.Event()
+
+    def begin_late(call: str) -> None:
+        if call == "stop" and laboratory.log.count("stop") == 3:
+            is_stopped_thrice.set()
+        if call == "move":
+            stop.ask()
+            stop.ask()
+            is_stopped_thrice.wait(timeout=10)
+
+    laboratory.on_call = begin_late
+    with pytest.raises(RunStoppedError):
+        session.run(stop=stop)
+    assert is_stopped_thrice.is_set()
+
+
 def test_no_step_begins_after_a_stop_at_once(session: RecordedSession) -> None:
     stop = StopRequest()
     stop.ask()
@@ -232,7 +253,7 @@ CHECK = ["read_room", *["point"] * 3]
 
 
 def checks_every(n: int | None, into: list[DriftRecord]) -> DriftChecks:
-    return DriftChecks(every_n_shots=n, commit=into.append)
+    return DriftChecks(every_n_shots=n, commit=lambda check, _is_last: into.append(check))
 
 
 @pytest.mark.parametrize(
@@ -268,7 +289,7 @@ def test_a_check_is_never_skipped(session: RecordedSession, laboratory: Any) -> 
 
 
 def test_whoever_stores_a_check_may_end_the_run(session: RecordedSession) -> None:
-    def refuse(check: DriftRecord) -> None:
+    def refuse(check: DriftRecord, _is_last: bool) -> None:
         raise CalibrationError(f"moved after {check.n_shots_before}")
 
     with pytest.raises(CalibrationError, match="moved after 2"):

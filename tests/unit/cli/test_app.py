@@ -25,7 +25,7 @@ def fail_with(monkeypatch, error):
 def test_help_lists_every_command():
     result = run("--help")
     assert result.returncode == 0
-    for command in ("demo", "run", "score", "report", "calibrate", "budget", "dataset"):
+    for command in ("demo", "plan", "run", "score", "report", "calibrate", "budget", "dataset"):
         assert command in result.stdout
 
 

@@ -89,8 +89,6 @@ def test_checks_do_not_disturb_the_shots_between_them(
             writer.commit_drift(make_drift(2))
     writer.commit_drift(make_drift(4, is_within=False))
     writer.finish("complete")
-    (finding,) = validate(writer.path)
-    assert finding.startswith("truth of shots 2-3 is suspect")
     with Dataset(writer.path) as dataset:
         assert dataset.truth_states == (G, G, S, S)
 
@@ -193,3 +191,10 @@ def test_what_was_accepted_is_in_the_provenance(
     with Dataset(tmp_path / "c.h5") as dataset:
         assert dataset.provenance.accepted == accepted
         assert json.loads(dataset.provenance.calibration_json)
+
+
+def test_checks_against_one_record_say_nothing_of_shots_of_another(make_drift: MakeDrift) -> None:
+    checks = [replace(make_drift(n), session=k) for n, k in ((0, 1), (2, 2), (4, 2))]
+    same, other = {1: "a", 2: "a"}, {1: "a", 2: "b"}
+    assert truth_states(range(4), [1, 1, 2, 2], checks, same) == (G, G, G, G)
+    assert truth_states(range(4), [1, 1, 2, 2], checks, other) == (U, U, G, G)

@@ -7,12 +7,16 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from scipy.spatial.transform import RigidTransform, Rotation
 
 from tronlab.dataset import schema
-from tronlab.dataset.records import Provenance, ReferenceView, ShotRecord
-from tronlab.dataset.validate import validate
+from tronlab.dataset.journal import Journal
+from tronlab.dataset.records import Provenance, ReferenceView, Session, ShotRecord
+from tronlab.dataset.sessions import only_session
+from tronlab.dataset.validate import Examination, examine, validate
 from tronlab.dataset.writer import DatasetWriter
 from tronlab.errors import DatasetError
+from tronlab.geometry.poses import pose_from_xyz_quat, xyz_quat_from_pose
 
 MakeShot = Callable[..., ShotRecord]
 MakeProvenance = Callable[..., Provenance]
@@ -52,16 +56,28 @@ def test_what_cannot_be_opened_is_an_error(tmp_path: Path) -> None:
         validate(tmp_path / "a.h5")
 
 
-def test_an_aborted_recording_is_told(
+def test_an_aborted_recording_is_sound_but_told(
     tmp_path: Path, make_shot: MakeShot, make_provenance: MakeProvenance
 ) -> None:
     with DatasetWriter(tmp_path / "a.h5", make_provenance(5)) as writer:
         writer.commit(make_shot(0))
         writer.finish("aborted", "operator")
-    assert validate(tmp_path / "a.h5") == [
-        "the recording ended with status aborted: operator",
-        "1 of 5 planned shots are there",
-    ]
+    Journal(writer.path).write("skipped", "shot 3: beam lost 3 times", shot_id=3)
+    Journal(writer.path).write("skipped", "beam lost 3 times", shot_id=0)  # taken later
+    assert examine(writer.path) == Examination(
+        findings=(),
+        notes=(
+            "the recording ended with status aborted: operator",
+            "1 of 5 planned shots are there",
+            "shot 3 was skipped: beam lost 3 times",
+        ),
+    )
+
+
+def test_progress_is_told(small_dataset: Path) -> None:
+    steps: list[tuple[int, int]] = []
+    examine(small_dataset, on_shot=lambda n_done, n_all: steps.append((n_done, n_all)))
+    assert steps == [(n, 5) for n in range(1, 6)]
 
 
 @pytest.mark.parametrize(
@@ -133,7 +149,17 @@ def test_an_aborted_recording_is_told(
             0,
             "reference view 1 is damaged: its checksum does not match",
         ),
-        (schema.N_COMMITTED, (), 4, "4 of 5 planned shots are there"),
+        (schema.N_COMMITTED, (), 4, "drift: the checks were after 0, 5 shots, which cannot be"),
+        ("entry/recording/n_shots_planned", (), 4, "5 shots are there, 4 were planned"),
+        (schema.SESSION, 2, 9, "shots 2: taken in session 9, there are 1"),
+        (schema.SUPERSEDES, 2, 4, "row 2: supersedes row 4, which is not before it"),
+        (schema.SUPERSEDES, 3, 1, "row 3: is shot 3, supersedes shot 1"),
+        (
+            schema.QUALITY_FLAGS,
+            1,
+            1 << 20,
+            "shot 1: quality/flags is 0x100000, only the lowest 8 bits have a meaning",
+        ),
         ("entry/recording/status", (), b"odd", "unknown status 'odd'"),
     ],
 )
@@ -162,14 +188,17 @@ def test_reference_views_without_checksums_are_told_once(small_dataset: Path) ->
 
 
 def test_reference_views_that_make_no_sense_are_found(
-    tmp_path: Path, make_provenance: MakeProvenance, make_view: Callable[[int], ReferenceView]
+    tmp_path: Path,
+    make_shot: MakeShot,
+    make_provenance: MakeProvenance,
+    make_view: Callable[[int], ReferenceView],
 ) -> None:
     behind, unseen = make_view(0), make_view(1)
     behind.depth_m[5, 5] = -1.0
     unseen.depth_m[:] = np.nan
     views = [behind, unseen, replace(make_view(2), view_id=0)]
-    findings = findings_of(tmp_path / "a.h5", make_provenance(1), [], views)
-    assert findings[1:] == [
+    shots = [make_shot(0)]
+    assert findings_of(tmp_path / "a.h5", make_provenance(1), shots, views) == [
         "reference view 0: a depth is not positive",
         "reference view 1: no terrain is seen",
         "reference views: an id is there twice",
@@ -254,3 +283,112 @@ def test_an_empty_mask_is_found(
     )
     findings = findings_of(tmp_path / "a.h5", make_provenance(1), [shot], [])
     assert findings == ["shot 0: the mask is empty"]
+
+
+def test_a_mask_in_two_parts_is_found(
+    tmp_path: Path, make_shot: MakeShot, make_provenance: MakeProvenance
+) -> None:
+    shot = make_shot(0)
+    shot.mask[:, 30:33] = False
+    truth = replace(shot.truth, usable_fraction=float(shot.mask.mean()))
+    findings = findings_of(tmp_path / "a.h5", make_provenance(1), [replace(shot, truth=truth)], [])
+    assert findings == ["shot 0: the mask falls into 2 parts, expected one outline"]
+
+
+def session_of(provenance: Provenance, number: int = 1, **changes: Any) -> Session:
+    session = only_session(provenance, start_utc="2026-11-22T12:00:00.000+00:00")
+    return replace(session, number=number, **changes)
+
+
+def with_robot(provenance: Provenance, shot: ShotRecord) -> dict[str, Any]:
+    """Give the calibration record by which robot and rail are where truth has the camera."""
+    record = json.loads(provenance.calibration_json)
+    tmac_from_cam = pose_from_xyz_quat(record["hand_eye"]["tmac_from_cam"]["xyz_m_quat_xyzw"])
+    assert shot.robot is not None
+    axis = np.array([0.999, 0.002, -0.001])
+    flange_from_tmac = RigidTransform.from_components(
+        [0.1, -0.09, 0.05], Rotation.from_rotvec([0.1, 0.2, 0.3])
+    )
+    rail_from_base = RigidTransform.from_translation(shot.robot.rail_m * axis)
+    rail_from_cam = rail_from_base * shot.robot.base_from_flange * flange_from_tmac * tmac_from_cam
+    poses = {
+        "trs_from_rail": shot.truth.trs_from_cam * rail_from_cam.inv(),
+        "flange_from_tmac": flange_from_tmac,
+    }
+    robot = {
+        name: {"xyz_m_quat_xyzw": xyz_quat_from_pose(pose).tolist()} for name, pose in poses.items()
+    }
+    return {**record, "robot": {**robot, "rail_axis_m_per_m": axis.tolist()}}
+
+
+def test_a_robot_that_was_elsewhere_is_found(
+    tmp_path: Path, make_shot: MakeShot, make_provenance: MakeProvenance
+) -> None:
+    shot = make_shot(0)
+    record = with_robot(make_provenance(1), shot)
+    provenance = replace(make_provenance(2), calibration_json=json.dumps(record))
+    assert shot.robot is not None
+    near, far = (
+        replace(shot, shot_id=1, robot=replace(shot.robot, rail_m=shot.robot.rail_m + shift_m))
+        for shift_m in (0.008, 0.012)
+    )
+    assert findings_of(tmp_path / "near.h5", provenance, [shot, near], []) == []
+    (finding,) = findings_of(tmp_path / "far.h5", provenance, [shot, far], [])
+    assert finding == (
+        "shot 1: robot and rail have the camera 12.0 mm and 0.00 deg from truth,"
+        " allowed 10 mm and 0.5 deg"
+    )
+
+
+@pytest.fixture
+def segmented(tmp_path: Path, make_shot: MakeShot, make_provenance: MakeProvenance) -> Path:
+    """Five shots in segments of 2, the third of them taken again in another session."""
+    path = tmp_path / "dataset.h5"
+    provenance = make_provenance(5)
+    with DatasetWriter(path, provenance, session=session_of(provenance), segment_shots=2) as writer:
+        for i in range(5):
+            writer.commit(make_shot(i))
+        writer.finish("complete")
+    again = session_of(provenance, 2, kind="retake")
+    with DatasetWriter.reopen(path, again, n_rows=1, segment_shots=2) as writer:
+        writer.commit(make_shot(7, shot_id=2), replaces=True)
+        writer.finish("complete")
+    return path
+
+
+def test_a_dataset_of_several_sessions_and_segments_is_valid(segmented: Path) -> None:
+    assert examine(segmented) == Examination((), ())
+
+
+def test_truth_follows_from_the_record_of_the_session(
+    tmp_path: Path, make_shot: MakeShot, make_provenance: MakeProvenance
+) -> None:
+    provenance, path = make_provenance(2), tmp_path / "dataset.h5"
+    record = json.loads(provenance.calibration_json)
+    record["frame"]["trs_from_trk"]["xyz_m_quat_xyzw"][0] += 0.25
+    shot = make_shot(1)
+    moved = RigidTransform.from_translation([0.25, 0.0, 0.0]) * shot.truth.trs_from_cam
+    with DatasetWriter(path, provenance, session=session_of(provenance), segment_shots=9) as writer:
+        writer.commit(make_shot(0))
+        writer.finish("aborted")
+    second = session_of(provenance, 2, kind="resume", calibration_json=json.dumps(record))
+    with DatasetWriter.reopen(path, second, n_rows=1, segment_shots=9) as writer:
+        writer.commit(replace(shot, truth=replace(shot.truth, trs_from_cam=moved)))
+        writer.finish("complete")
+    assert validate(path) == []
+
+
+def test_missing_and_foreign_segments_are_found(segmented: Path) -> None:
+    first, second, last, _ = sorted((segmented.parent / "dataset.images").iterdir())
+    second.rename(second.with_name("spare.h5"))
+    (finding,) = validate(segmented)
+    assert finding.startswith(f"the images of rows 2 to 3 are in {second}, which is missing")
+    (note, stranger) = examine(segmented).notes
+    assert note.startswith("row 2, superseded, of shot 2: the images of rows 2 to 3")
+    assert stranger == f"{second.with_name('spare.h5')}: is no file of this dataset"
+    second.write_bytes(first.read_bytes())
+    (finding,) = validate(segmented)
+    assert "is another segment" in finding
+    with h5py.File(last, "r+") as file:
+        file[schema.SEGMENT_IMAGE][0, 0] = 0
+    assert "shot 4: image is damaged: its checksum does not match" in "\n".join(validate(segmented))

@@ -59,6 +59,16 @@ def test_a_crop_sees_the_same_rays():
     assert crop.shape == (480, 640)
 
 
+def test_larger_pixels_see_as_far_as_the_small_ones_did():
+    small = CAMERA.scaled(100)
+    assert small.shape == (round(100 * CAMERA.height_px / CAMERA.width_px), 100)
+    borders = [
+        camera.rays([[-0.5, -0.5], [camera.width_px - 0.5, camera.height_px - 0.5]])
+        for camera in (small, CAMERA)
+    ]
+    np.testing.assert_allclose(*borders, atol=1e-12)
+
+
 def test_the_ray_table_is_the_ray_of_every_pixel_centre():
     small = replace(CAMERA, width_px=5, height_px=4)
     table = small.ray_table(du_px=0.25, dv_px=-0.25)

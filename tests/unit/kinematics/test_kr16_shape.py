@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tronlab.kinematics.kr16 import KR16_LIMITS_RAD, forward
+from tronlab.kinematics.kr16 import KR16_LIMITS_RAD, flange_place_m, forward
 from tronlab.kinematics.kr16_shape import (
     FOREARM,
     HAND,
@@ -29,6 +29,7 @@ def test_flange_is_where_the_kinematics_have_it():
     shape = arm_shape(axes_rad)
     for i, axes in enumerate(axes_rad):
         base_from_flange = forward(axes)
+        np.testing.assert_array_equal(flange_place_m(axes), base_from_flange.translation)
         np.testing.assert_allclose(
             shape.p_flange_base_m[i], base_from_flange.translation, atol=1e-12
         )

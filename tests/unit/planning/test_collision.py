@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.spatial import cKDTree
+from pydantic import ValidationError
+from scipy.spatial import KDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from tronlab.devices.cell import BoxSpec, EnvelopeSpec
@@ -50,6 +51,7 @@ def make_scene(shift_m=(0.0, 0.0, 0.0), **envelope: object) -> Scene:
     """Give a flat model and a rail that leads to it along -Z of trs, as the twin has them."""
     shift = np.array(shift_m)
     rotation = Rotation.from_euler("ZYX", [0.0, 90.0, 180.0], degrees=True)
+    p_rail = np.array([2.3, 2.08, 6.0]) + shift
     obstacles = {
         name: BoxSpec(low_trs_m=tuple(low + shift), high_trs_m=tuple(high + shift))
         for name, (low, high) in dict(envelope.pop("obstacles", {})).items()  # pyright: ignore[reportCallIssue, reportArgumentType]
@@ -57,7 +59,7 @@ def make_scene(shift_m=(0.0, 0.0, 0.0), **envelope: object) -> Scene:
     return Scene(
         terrain=flat_model(tuple(shift)),
         mounting=Mounting(
-            trs_from_rail=RigidTransform.from_components(np.array([2.3, 2.08, 6.0]) + shift, rotation),
+            trs_from_rail=RigidTransform.from_components(p_rail, rotation),
             rail_axis=np.array([1.0, 0.0, 0.0]),
             flange_from_cam=RigidTransform.identity(),
             arm_forward_m=1.0,
@@ -106,7 +108,7 @@ def test_distances_of_all_pairs_are_those_of_sampled_surfaces(seed: int):
     middle = np.array([2.08, 2.08, 5.0 - at.rail_m]) + rng.uniform(-1.5, 1.5, 3)
     scene = make_scene(obstacles={"chair": (middle - 0.3, middle + rng.uniform(0.0, 0.3, 3))})
     found = distances_at(*stacked([at]), scene)
-    clouds = {name: cKDTree(points) for name, points in surfaces(at, scene).items()}
+    clouds = {name: KDTree(points) for name, points in surfaces(at, scene).items()}
     for (a, b), distance_m in zip(found.pairs, found.distance_m[0], strict=True):
         if a in clouds and b in clouds and distance_m > 0.02:
             sampled_m = clouds[a].query(clouds[b].data)[0].min()
@@ -181,6 +183,30 @@ def test_on_the_way_a_post_is_met_that_neither_end_is_near():
     assert "post meet" in finding.text
 
 
+@pytest.mark.parametrize("a1_deg", [-37.0, -19.0, 11.0, 23.0, 44.0])
+def test_a_pin_that_only_a_corner_of_the_plate_touches_is_found(a1_deg: float):
+    p_axis = np.array([2.3, 2.08, 4.0])
+    corners = plate_corners_trs(posture(rail_m=2.0, a1=a1_deg), OPEN)
+    outermost = corners[np.linalg.norm((corners - p_axis)[:, 1:], axis=1).argmax()]
+    pin = {"pin": (outermost - 0.005, outermost + 0.005)}
+    scene = make_scene(obstacles=pin, clearance_m=0.02)
+    ends = [posture(rail_m=2.0, a1=a1) for a1 in (-60.0, 70.0)]
+    assert min(clearance(end, scene).distance_m for end in ends) > 0.1
+    (found,) = passage_clearances(ends, scene)
+    assert found.between == ("plate", "pin")
+    assert found.distance_m < 0.02
+
+
+def test_a_bar_across_the_rail_s_way_is_found():
+    bar = {"bar": (np.array([1.0, 1.0, 3.69]), np.array([1.05, 3.0, 3.71]))}
+    scene = make_scene(obstacles=bar)
+    ends = [posture(rail_m=0.0), posture(rail_m=4.2)]
+    assert min(clearance(end, scene).distance_m for end in ends) > 0.4
+    (found,) = passage_clearances(ends, scene)
+    assert found.distance_m < 0.0
+    assert found.between[1] == "bar"
+
+
 @settings(max_examples=10, deadline=None)
 @given(seeds)
 def test_what_dense_samples_of_a_way_find_is_never_missed(seed: int):
@@ -212,6 +238,14 @@ def test_shots_that_cannot_be_reached_are_passed_by():
     assert [len(c.findings) for c in check_clearance_along([None], scene)] == [0]
 
 
+def test_way_from_a_shot_that_is_refused_is_not_held_against_the_next():
+    folded = posture(a5=130.0, a6=90.0)
+    checks = check_clearance_along([posture(), folded, posture()], OPEN)
+    assert [len(check.findings) for check in checks] == [0, 1, 0]
+    assert "on the way" not in checks[1].findings[0].text
+    assert checks[2].on_way.distance_m < 0.0
+
+
 def test_too_near_says_how_near_and_what_is_allowed():
     at = posture(rail_m=1.5)
     front_m = plate_corners_trs(at, OPEN)[:, 2].min()
@@ -226,7 +260,7 @@ def test_too_near_says_how_near_and_what_is_allowed():
 def test_line_of_sight_is_as_near_to_solids_as_its_samples():
     rng = np.random.default_rng(5)
     at, scene = posture(), make_scene(obstacles=POST)
-    clouds = {name: cKDTree(points) for name, points in surfaces(at, scene).items()}
+    clouds = {name: KDTree(points) for name, points in surfaces(at, scene).items()}
     solids = solids_at(at, scene)
     ends = rng.uniform([0.0, 0.0, 2.0], [2.5, 4.0, 6.0], (2, 20, 3))
     told_m = segment_clearances_m(ends[0], ends[1], solids)
@@ -240,3 +274,8 @@ def test_line_of_sight_is_as_near_to_solids_as_its_samples():
         nearest = segment_clearance(ends[0, i], ends[1, i], solids, name="line of sight")
         assert nearest.distance_m == pytest.approx(told_m[i].min())
         assert nearest.between[0] == "line of sight"
+
+
+def test_box_whose_corners_are_the_wrong_way_round_is_refused():
+    with pytest.raises(ValidationError, match=r"Y goes from 2 to 1 m, low_trs_m must be below"):
+        BoxSpec(low_trs_m=(0.0, 2.0, 0.0), high_trs_m=(1.0, 1.0, 1.0))

@@ -2,7 +2,7 @@ from dataclasses import replace
 from datetime import datetime
 
 import pytest
-from planned import planned
+from planned import TOO_DARK, planned
 
 from tronlab.planning.summary import (
     CHECK_LABELS,
@@ -27,6 +27,9 @@ def test_full_summary_says_what_is_refused_why_and_what_could_be_done():
     assert rows["reach of rail and arm"] == ["1", "-"]
     assert rows["light on the model"] == ["-", "2"]
     assert rows["collision"] == ["-", "-"]
+    assert f"warned: shot 2: {TOO_DARK.text} (and 1 more warnings of this kind)" in lines, (
+        "one line a kind"
+    )
     at = lines.index("refused: shot 1: 12.0 % of the image shows the model, at least 20 % shall")
     assert lines[at + 1] == (
         "  nearest pose that can be taken: 50 mm and 0.0 deg away,"

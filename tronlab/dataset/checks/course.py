@@ -5,11 +5,13 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from tronlab.dataset import schema
+from tronlab.dataset.checks.images import sentence
 from tronlab.dataset.drift import doubts, spans
 from tronlab.dataset.journal import read_journal
 from tronlab.dataset.places import images_folder
 from tronlab.dataset.reader import Dataset
 from tronlab.dataset.summary import flagged_shots, known_rows, skipped_shots
+from tronlab.errors import IntegrityError
 
 
 def sessions(dataset: Dataset) -> Iterator[str]:
@@ -107,6 +109,21 @@ def flagged(dataset: Dataset) -> Iterator[str]:
     """Say which shots the quality gate held something against."""
     for flag, shot_ids in flagged_shots(dataset).items():
         yield f"shots {spans(shot_ids)} are flagged: {flag}"
+
+
+def set_aside(dataset: Dataset) -> Iterator[str]:
+    """Say which rows that no shot needs any more are damaged or empty."""
+    for row in dataset.superseded_rows:
+        where = f"row {row}, superseded, of shot {dataset.stored.shot_ids[row]}"
+        try:
+            is_whole = dataset.stored.is_whole(row)
+        except IntegrityError as error:
+            yield f"{where}: {sentence(dataset, error)}"
+        else:
+            if not is_whole:
+                yield f"{where}: is damaged: a checksum does not match"
+    if dataset.void_rows:
+        yield f"rows {spans(dataset.void_rows)} hold nothing: a power cut had damaged them"
 
 
 def strangers(dataset: Dataset) -> Iterator[str]:

@@ -17,9 +17,9 @@ from tronlab.geometry.poses import FloatArray, pose_from_xyz_quat
 
 _TRUTH_TOLERANCE = 1e-9
 """Metres, and radians: truth is computed, so only rounding may differ."""
-_ROBOT_TOLERANCE_M = 0.03
-"""A calibrated robot is good to a few millimetres; readings of another shot are much farther."""
-_ROBOT_TOLERANCE_RAD = np.deg2rad(1.0)
+_ROBOT_TOLERANCE_M = 0.01
+"""A calibrated arm on a rail is good to a few millimetres; beyond are readings of other shots."""
+_ROBOT_TOLERANCE_RAD = np.deg2rad(0.5)
 
 Record = Mapping[str, Any]
 """A calibration record as it is stored; only what is needed here is looked at."""
@@ -81,8 +81,8 @@ def robot(dataset: Dataset) -> Iterator[str]:
         for shot_id, shift_m, turn_rad in _apart(dataset, rows, chain):
             if shift_m > _ROBOT_TOLERANCE_M or turn_rad > _ROBOT_TOLERANCE_RAD:
                 yield (
-                    f"shot {shot_id}: robot and rail have the camera {shift_m * 1e3:.3g} mm and"
-                    f" {np.rad2deg(turn_rad):.3g} deg from truth, allowed"
+                    f"shot {shot_id}: robot and rail have the camera {shift_m * 1e3:.1f} mm and"
+                    f" {np.rad2deg(turn_rad):.2f} deg from truth, allowed"
                     f" {_ROBOT_TOLERANCE_M * 1e3:g} mm and {np.rad2deg(_ROBOT_TOLERANCE_RAD):g} deg"
                 )
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tronlab.dataset.exchange.images import write_mask, write_png
 from tronlab.dataset.exchange.rectification import Rectification
-from tronlab.dataset.exchange.shots import ExportShot, OnShot, shots_of, write_json_rows
+from tronlab.dataset.exchange.shots import ExportShot, OnShot, json_rows, shots_of
 from tronlab.dataset.reader import Dataset
 from tronlab.geometry.camera import CameraModel
 
@@ -48,24 +48,28 @@ terrain model (obj_id 1). Image ids are shot ids.
         for name in _IMAGE_FOLDERS:
             (scene / name).mkdir(parents=True)
         rectification = Rectification(dataset.camera)
-        cameras: dict[int, Any] = {}
-        poses: dict[int, Any] = {}
-        infos: dict[int, Any] = {}
-        for shot in shots_of(dataset, on_shot):
-            mask = rectification.mask(shot.mask)
-            write_png(scene / "gray" / f"{shot.shot_id:06d}.png", rectification.image(shot.image))
-            for name in ("mask", "mask_visib"):
-                write_mask(scene / name / f"{shot.shot_id:06d}_{0:06d}.png", mask)
-            cameras[shot.shot_id] = _camera_of_image(dataset.camera, shot)
-            poses[shot.shot_id] = [{"obj_id": _OBJ_ID, **_pose(shot, "m2c")}]
-            infos[shot.shot_id] = [_info(mask)]
-        write_json_rows(scene / "scene_camera.json", cameras)
-        write_json_rows(scene / "scene_gt.json", poses)
-        write_json_rows(scene / "scene_gt_info.json", infos)
-        _write_targets(folder, list(poses))
+        with (
+            json_rows(scene / "scene_camera.json") as write_camera,
+            json_rows(scene / "scene_gt.json") as write_pose,
+            json_rows(scene / "scene_gt_info.json") as write_info,
+        ):
+            for shot in shots_of(dataset, on_shot):
+                mask = rectification.mask(shot.mask)
+                write_png(scene / "gray" / _name(shot.shot_id), rectification.image(shot.image))
+                for name in ("mask", "mask_visib"):
+                    write_mask(scene / name / f"{shot.shot_id:06d}_{0:06d}.png", mask)
+                write_camera(shot.shot_id, _camera_of_image(dataset.camera, shot))
+                write_pose(shot.shot_id, [{"obj_id": _OBJ_ID, **_pose(shot, "m2c")}])
+                write_info(shot.shot_id, [_info(mask)])
+        shot_ids = dataset.shot_ids.tolist()
+        _write_targets(folder, shot_ids)
         _write_camera(folder, dataset.camera)
-        image_folder = (scene / "gray").relative_to(folder).as_posix()
-        return {shot_id: f"{image_folder}/{shot_id:06d}.png" for shot_id in poses}
+        images = (scene / "gray").relative_to(folder).as_posix()
+        return {shot_id: f"{images}/{_name(shot_id)}" for shot_id in shot_ids}
+
+
+def _name(shot_id: int) -> str:
+    return f"{shot_id:06d}.png"
 
 
 def _camera_of_image(camera: CameraModel, shot: ExportShot) -> dict[str, Any]:

@@ -1,6 +1,5 @@
-"""Sets of images and poses that others made, read as far as scoring needs them."""
+"""Sets of images and poses that others made, as far as scoring needs them."""
 
-from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -9,25 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from tronlab.dataset.exchange.association import associate
-from tronlab.dataset.exchange.folder import (
-    COVARIANCE_COLUMNS,
-    NOMINAL_COLUMNS,
-    POSE_COLUMNS,
-    REFERENCE_COLUMNS,
-    REFERENCES_CSV,
-    SHOT_COLUMNS,
-    UPPER_TRIANGLE,
-)
 from tronlab.dataset.exchange.images import read_grey, read_mask
-from tronlab.dataset.exchange.text_files import (
-    Row,
-    number,
-    pose_of_numbers,
-    poses_of_numbers,
-    read_lines,
-    read_table,
-)
 from tronlab.dataset.records import ReferenceView, ShotRecord, Truth
 from tronlab.devices.readings import Frame
 from tronlab.errors import DatasetError
@@ -36,10 +17,6 @@ from tronlab.geometry.poses import FloatArray
 
 _MONO12_MAX = 4095
 _UNKNOWN_FRAME = -1
-_IMAGE_LIST = ("timestamp", "filename")
-_TRAJECTORY = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
-TUM_MAX_DIFFERENCE_S = 0.02
-"""What the benchmark's own tool takes for the same time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,96 +110,6 @@ class ForeignSet:
     """What a person should know of how it was read."""
 
 
-def read_folder(csv_path: Path) -> ForeignSet:
-    """Read a table of shots as ``FolderExporter`` writes it, and the reference views beside it.
-
-    Columns needed are shot_id, image, x_m, y_m, z_m, qx, qy, qz, qw; files are relative to the
-    table.
-
-    Raises:
-        DatasetError: A table cannot be read or says something that cannot be.
-    """
-    required = ("shot_id", "image", *POSE_COLUMNS)
-    rows = read_table(csv_path, required=required, known=SHOT_COLUMNS)
-    shots = tuple(_shot(row, csv_path.parent) for row in rows)
-    _check_ids("shot_id", [shot.shot_id for shot in shots], csv_path)
-    references = csv_path.parent / REFERENCES_CSV
-    views = _views(references) if references.exists() else ()
-    return ForeignSet(shots, views)
-
-
-def read_tum(
-    images_path: Path,
-    trajectory_path: Path,
-    *,
-    max_difference_s: float = TUM_MAX_DIFFERENCE_S,
-    offset_s: float = 0.0,
-) -> ForeignSet:
-    """Read a list of images and a trajectory in TUM's format; an image takes the nearest pose.
-
-    Nothing is interpolated: the pose is that of another moment, up to ``max_difference_s`` away.
-    Shots are numbered from 1 in the order of the list.
-
-    Args:
-        images_path: Rows of ``timestamp filename``; files are relative to the list.
-        trajectory_path: Rows of ``timestamp tx ty tz qx qy qz qw``.
-        max_difference_s: Images without a pose so near in time are left out.
-        offset_s: Added to the times of the trajectory.
-
-    Raises:
-        DatasetError: A file cannot be read, has no rows or one that cannot be, or no image has a
-            pose.
-    """
-    images = [
-        (where, number(stamp, where), images_path.parent / name)
-        for where, (stamp, name) in read_lines(images_path, columns=_IMAGE_LIST)
-    ]
-    times_s, poses = read_trajectory(trajectory_path)
-    pairs = associate(
-        [time_s for _, time_s, _ in images],
-        times_s,
-        max_difference_s=max_difference_s,
-        offset_b_s=offset_s,
-    )
-    if not pairs.i_a.size:
-        raise DatasetError(
-            f"{images_path}: none of {len(images)} images has a pose in {trajectory_path} within"
-            f" {max_difference_s:g} s; check the time stamps, or name an offset"
-        )
-    shots = tuple(
-        ForeignShot(
-            shot_id=i + 1,
-            where=images[i][0],
-            image_path=images[i][2],
-            trs_from_cam=poses[j],
-            time_s=images[i][1],
-        )
-        for i, j in zip(pairs.i_a.tolist(), pairs.i_b.tolist(), strict=True)
-    )
-    note = (
-        f"{len(shots)} of {len(images)} images have a pose within {max_difference_s:g} s; the pose"
-        f" is of another moment by {np.abs(pairs.difference_s).max() * 1e3:.3f} ms at most, nothing"
-        " was interpolated"
-    )
-    return ForeignSet(shots, notes=(note,))
-
-
-def read_trajectory(path: Path) -> tuple[FloatArray, RigidTransform]:
-    """Read a trajectory in TUM's format, rows of ``timestamp tx ty tz qx qy qz qw``.
-
-    Returns:
-        Times, seconds, and poses, both of shape (n,).
-
-    Raises:
-        DatasetError: The file cannot be read, has no rows, or a row is no pose.
-    """
-    rows = list(read_lines(path, columns=_TRAJECTORY))
-    if not rows:
-        raise DatasetError(f"{path}: has no poses")
-    values = np.array([[number(word, where) for word in words] for where, words in rows])
-    return values[:, 0], poses_of_numbers(values[:, 1:], [where for where, _ in rows])
-
-
 def shot_record(
     shot: ForeignShot, camera: CameraModel, *, mask: NDArray[np.bool_], range_los_m: float
 ) -> ShotRecord:
@@ -262,74 +149,6 @@ def shot_record(
             usable_fraction=float(mask.mean()),
         ),
     )
-
-
-def _shot(row: Row, folder: Path) -> ForeignShot:
-    pose = row.numbers(POSE_COLUMNS)
-    if pose is None:
-        raise DatasetError(f"{row.where}: has no pose: {', '.join(POSE_COLUMNS)} are empty")
-    nominal = row.numbers(NOMINAL_COLUMNS)
-    shot_id = row.integer("shot_id")
-    if shot_id < 0:
-        raise DatasetError(f"{row.where}: shot_id is {shot_id}, must be 0 or more")
-    return ForeignShot(
-        shot_id=shot_id,
-        where=row.where,
-        image_path=folder / row.text("image"),
-        mask_path=folder / row.text("mask") if "mask" in row.cells else None,
-        trs_from_cam=pose_of_numbers(pose, row.where),
-        planned_trs_from_cam=None if nominal is None else pose_of_numbers(nominal, row.where),
-        covariance=_covariance(row),
-        range_los_m=_range(row),
-        time_s=row.number("time_s"),
-        exposure_s=row.number("exposure_s"),
-        gain_db=row.number("gain_db"),
-        pixel_format=row.cells.get("pixel_format"),
-    )
-
-
-def _range(row: Row) -> float:
-    range_los_m = row.number("range_los_m")
-    if range_los_m <= 0:
-        raise DatasetError(f"{row.where}: range_los_m is {range_los_m:g}, must be above 0")
-    return range_los_m
-
-
-def _covariance(row: Row) -> FloatArray | None:
-    values = row.numbers(COVARIANCE_COLUMNS)
-    if values is None:
-        return None
-    covariance = np.zeros((6, 6))
-    for (i, j), value in zip(UPPER_TRIANGLE, values, strict=True):
-        covariance[i, j] = covariance[j, i] = value
-    return covariance
-
-
-def _views(path: Path) -> tuple[ForeignView, ...]:
-    rows = read_table(path, required=REFERENCE_COLUMNS, known=REFERENCE_COLUMNS)
-    views = tuple(_view(row, path.parent) for row in rows)
-    _check_ids("view_id", [view.view_id for view in views], path)
-    return views
-
-
-def _view(row: Row, folder: Path) -> ForeignView:
-    pose = row.numbers(POSE_COLUMNS)
-    if pose is None:
-        raise DatasetError(f"{row.where}: has no pose: {', '.join(POSE_COLUMNS)} are empty")
-    return ForeignView(
-        view_id=row.integer("view_id"),
-        where=row.where,
-        trs_from_cam=pose_of_numbers(pose, row.where),
-        image_path=folder / row.text("image"),
-        mask_path=folder / row.text("mask"),
-        depth_path=folder / row.text("depth"),
-    )
-
-
-def _check_ids(name: str, ids: list[int], path: Path) -> None:
-    twice = [str(i) for i, n in Counter(ids).items() if n > 1]
-    if twice:
-        raise DatasetError(f"{path}: {name} must be unique; more than once: {', '.join(twice)}")
 
 
 def _check_size(image: NDArray[Any], camera: CameraModel, where: str) -> None:

@@ -1,7 +1,8 @@
 """What every exporter is given: the shots of a dataset, one at a time."""
 
 import json
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Generator, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeAlias
@@ -81,11 +82,22 @@ def numbers(values: Any) -> str:
     return " ".join(repr(float(value)) for value in values)
 
 
-def write_json_rows(path: Path, rows: Mapping[int, Any]) -> None:
-    """Write a JSON object with a line for each key, so that long files can be looked into.
+@contextmanager
+def json_rows(path: Path) -> Generator[Callable[[int, Any], None]]:
+    """Write a JSON object key by key, each in a line of its own: nothing is kept in memory.
+
+    Gives the function that writes a key and its value; at least one must be written.
 
     Raises:
         OSError: The disk does not take it.
     """
-    lines = [f'  "{key}": {json.dumps(value)}' for key, value in rows.items()]
-    path.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+    before = "{"
+    with path.open("w", encoding="utf-8") as file:
+
+        def write(key: int, value: Any) -> None:
+            nonlocal before
+            file.write(f'{before}\n  "{key}": {json.dumps(value)}')
+            before = ","
+
+        yield write
+        file.write("\n}\n")

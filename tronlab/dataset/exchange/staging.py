@@ -12,6 +12,8 @@ from tronlab.errors import DatasetError
 def staged_folder(out_dir: Path) -> Generator[Path]:
     """Give a folder to fill. It takes its name when the block ends well; else nothing is left.
 
+    Errors of datasets raised in the block name the folder as it was to be called.
+
     Raises:
         DatasetError: ``out_dir`` is there already, cannot be made, or the disk does not take what
             is written.
@@ -29,6 +31,10 @@ def staged_folder(out_dir: Path) -> Generator[Path]:
         raise DatasetError(
             f"{out_dir}: cannot be written: {error.strerror or error}; nothing is left of it"
         ) from error
+    except DatasetError as error:
+        if str(part) not in str(error):
+            raise
+        raise DatasetError(str(error).replace(str(part), str(out_dir))) from error
     finally:
         shutil.rmtree(part, ignore_errors=True)  # it must not hide what went wrong before
 

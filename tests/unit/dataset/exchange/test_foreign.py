@@ -6,13 +6,19 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tronlab.dataset.exchange.foreign import read_folder, read_tum, shot_record
+from tronlab.dataset.exchange.folder_import import read_folder
+from tronlab.dataset.exchange.foreign import shot_record
+from tronlab.dataset.exchange.tum_import import read_tum
 from tronlab.errors import DatasetError
 from tronlab.geometry.camera import CameraModel
 
 CAMERA = CameraModel(6, 4, 5.0, 5.0, 2.5, 1.5)
 HEADER = "shot_id,image,x_m,y_m,z_m,qx,qy,qz,qw"
 ROW = "1,a.png,1,2,3,0,0,0,1"
+COVARIANCE = ",".join(f"cov_{i}{j}" for i in range(6) for j in range(i, 6))
+NEGATIVE = ",".join(
+    "-1e-9" if i == j == 3 else str(1e-9 * (i == j)) for i in range(6) for j in range(i, 6)
+)
 
 
 def table(folder: Path, *lines: str) -> Path:
@@ -81,7 +87,8 @@ def test_colours_become_their_luma_and_other_sizes_are_refused(tmp_path: Path) -
         ([HEADER, "1,a.png,1,2,3,1,0,0,"], "csv:2: qw: empty; give all of x_m, y_m"),
         ([HEADER, ROW.replace("0,0,0", "0,0,1")], r"csv:2: the quaternion .* norm 1\.414214"),
         ([f"{HEADER},range_los_m", f"{ROW},0"], "csv:2: range_los_m is 0, must be above 0"),
-        ([f"{HEADER},cov_00", f"{ROW},1e-9"], r"csv:2: qw|csv:2: cov_01, cov_02, .*: empty"),
+        ([f"{HEADER},cov_00", f"{ROW},1e-9"], "csv:2: cov_01, cov_02, .*: empty"),
+        ([f"{HEADER},{COVARIANCE}", f"{ROW},{NEGATIVE}"], "csv:2: cov_00 to cov_55 are no covaria"),
         ([f"{HEADER},nominal_x_m", f"{ROW},1"], "csv:2: nominal_y_m, .* empty; give all of"),
     ],
 )
