@@ -83,7 +83,8 @@ class Chronicle:
         try:
             yield
         except (RunStoppedError, KeyboardInterrupt):
-            self._writer.finish("aborted", reason="stopped by the operator")
+            with suppress(DatasetError):  # interrupted while the first shot was being written
+                self._writer.finish("aborted", reason="stopped by the operator")
             self._end("aborted", f"stopped: {self._so_far()}")
             raise CampaignInterrupted(
                 f"stopped: {self._so_far()}; go on: {self._resume_command()}"

@@ -1,16 +1,19 @@
 """Going on with a dataset: what is in it, what is missing, and what shall be taken again."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from tronlab.campaign.job import Files
 from tronlab.dataset.location import DATASET_NAME
 from tronlab.dataset.reader import Dataset
-from tronlab.dataset.records import Session
-from tronlab.dataset.schema import CAMERA, Status
+from tronlab.dataset.records import Session, ShotQuality
+from tronlab.dataset.schema import CAMERA, QUALITY_FLAGS, Status
 from tronlab.errors import ConfigError, PlanError
 from tronlab.planning.shots import Plan, Shot
+
+_N_STANDARD = 200
+"""So many shots are enough to know how sharp and how bright they are."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +29,8 @@ class Recorded:
     """Of those, the ones a quality gate flagged."""
     last_time_s: float
     """When the last image was taken, seconds since 1970 UTC; 0 if there is none."""
-    has_drift_checks: bool
+    standard: tuple[tuple[ShotQuality, float], ...]
+    """Of the last shots: what the quality gate goes on comparing with, and their range, metres."""
 
     @property
     def last_session(self) -> Session:
@@ -72,9 +76,9 @@ def read_recorded(path: Path) -> Recorded:
             status=dataset.status,
             sessions=dataset.sessions,
             shot_ids=frozenset(map(int, dataset.shot_ids)),
-            flagged_ids=frozenset(_flagged(dataset)),
+            flagged_ids=frozenset(map(int, dataset.shot_ids[dataset.rows(QUALITY_FLAGS) != 0])),
             last_time_s=float(times_s.max()) if times_s.size else 0.0,
-            has_drift_checks=bool(dataset.drift_checks),
+            standard=tuple(_standard(dataset)),
         )
 
 
@@ -159,8 +163,8 @@ def parse_shot_ids(text: str) -> tuple[int, ...]:
     return tuple(dict.fromkeys(ids))
 
 
-def _flagged(dataset: Dataset) -> Iterable[int]:
-    for i, shot_id in enumerate(dataset.shot_ids):
+def _standard(dataset: Dataset) -> Iterator[tuple[ShotQuality, float]]:
+    for i in range(max(0, dataset.n_shots - _N_STANDARD), dataset.n_shots):
         quality = dataset.quality(i)
-        if quality is not None and quality.flags:
-            yield int(shot_id)
+        if quality is not None:
+            yield quality, dataset.truth(i).range_los_m

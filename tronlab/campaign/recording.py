@@ -196,7 +196,7 @@ def _taker(
 ) -> ShotTaker:
     job, foresight = assignment.job, assignment.foresight
     calibration, config = job.calibration, job.campaign.config
-    return ShotTaker(
+    taker = ShotTaker(
         devices=devices,
         config=config,
         truth_source=TruthSource(calibration, foresight.heightmap, foresight.renderer),
@@ -211,6 +211,10 @@ def _taker(
         warn=warn,
         session=assignment.number,
     )
+    if assignment.recorded is not None:
+        for quality, range_los_m in assignment.recorded.standard:
+            taker.gate.learn(quality, range_los_m=range_los_m)
+    return taker
 
 
 def _open_writer(assignment: Assignment, session: Session, vigil: Vigil | None) -> DatasetWriter:

@@ -332,7 +332,7 @@ def test_results_of_two_scorings_are_refused(scored: Path) -> None:
 
 
 def test_bad_input_is_one_clear_error(
-    small_dataset: Path, tmp_path: Path, make_provenance, plug_ins: None
+    small_dataset: Path, empty_dataset: Path, tmp_path: Path, plug_ins: None
 ) -> None:
     with pytest.raises(
         ScoreError, match=r"no navigation core 'sift'; known cores: \., broken, inter"
@@ -353,11 +353,8 @@ def test_bad_input_is_one_clear_error(
     cut.write_bytes(small_dataset.read_bytes()[:30_000])
     with pytest.raises(DatasetError, match=r"cut\.h5"):
         score_dataset(cut)
-    empty = tmp_path / "empty.h5"
-    with DatasetWriter(empty, make_provenance()) as writer:
-        writer.finish("aborted")
     with pytest.raises(ScoreError, match="holds no shots: there is nothing to score"):
-        score_dataset(empty)
+        score_dataset(empty_dataset)
     assert not (small_dataset.parent / "scores.csv").exists()
 
 
