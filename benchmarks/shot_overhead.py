@@ -170,7 +170,7 @@ def main() -> None:
             seed=None,
             acceptance=Acceptance(is_given=False, warn=print),
         )
-        foresight = foresee(job.campaign, job.rig, job.calibration, live=SilentLive())
+        foresight = foresee(job, job.plan.shots, live=SilentLive())
         ours = tronlab_ms(job, foresight, out)
         peer = peer_ms(job, arguments.shots, out)
     rows, columns = job.calibration.camera.shape

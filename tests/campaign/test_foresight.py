@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from recorder import Recorder
 
-from tronlab.calib.record import CalibrationRecord
-from tronlab.campaign.config import load_campaign
+from tronlab.campaign.acceptance import Acceptance
 from tronlab.campaign.foresight import Foresight, foresee, refuse
-from tronlab.campaign.rig import load_rig
+from tronlab.campaign.job import Files, read_job
 from tronlab.campaign.run import run_campaign
 from tronlab.dataset.reader import Dataset
 from tronlab.errors import PlanError
@@ -20,10 +19,23 @@ EditYaml = Callable[..., None]
 
 
 def foreseen(campaign_path: Path, live: Recorder | None = None) -> Foresight:
-    campaign = load_campaign(campaign_path)
-    rig = load_rig(campaign.config.rig)
-    calibration = CalibrationRecord.load(campaign.config.calibration)
-    return foresee(campaign, rig, calibration, live=live or Recorder())
+    job = read_job(Files(campaign_path), seed=None, acceptance=Acceptance(False, warn=print))
+    return foresee(job, job.plan.shots, live=live or Recorder())
+
+
+def test_only_the_shots_to_take_are_looked_at(campaign_path: Path) -> None:
+    """The way from the second to the fifth is another one than through those between."""
+    job = read_job(Files(campaign_path), seed=None, acceptance=Acceptance(False, warn=print))
+    live = Recorder()
+    second, fifth = job.plan.shots[1], job.plan.shots[4]
+    rest = foresee(job, (second, fifth), live=live)
+    assert rest.shots == (second, fifth)
+    assert ("plan", 2, 2) in live.progress
+    whole = foreseen(campaign_path).assessment.shots
+    assert rest.assessment.shots[1].duration.move_s == pytest.approx(
+        sum(shot.duration.move_s for shot in whole[2:])
+    )
+    assert foresee(job, (), live=live).shots == ()
 
 
 def write_poses(path: Path, heights_m: list[float]) -> None:

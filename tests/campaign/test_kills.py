@@ -4,21 +4,24 @@
 is the figure the changelog names; by default it is a sample.
 """
 
+import multiprocessing
 import os
 import shutil
-import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 import numpy as np
 import pytest
+from recording_child import go_on
 from scipy.spatial.transform import Rotation
 
 from tronlab.campaign.rig import load_rig
 from tronlab.dataset.journal import read_journal
+from tronlab.dataset.lock import lock_holder
 from tronlab.dataset.reader import Dataset
 from tronlab.dataset.validate import validate
 from tronlab.render.heightfield import HeightfieldRenderer
@@ -28,9 +31,6 @@ N_KILLS = int(os.environ.get("TRONLAB_KILLS", "2"))
 N_FULL_DISKS = int(os.environ.get("TRONLAB_FULL_DISKS", "2"))
 N_SHOTS = int(os.environ.get("TRONLAB_SHOTS", "40"))
 SEED = int(os.environ.get("TRONLAB_SEED", "1"))
-MEAN_DELAY_S = 0.05 * N_SHOTS / max(1, N_KILLS)
-"""About as long as the shots take, over all kills."""
-SESSION = '"kind": "session"'
 COMMAND = [sys.executable, "-c", "from tronlab.cli import main; main()", "run"]
 FULL_DISK_C = Path(__file__).parents[1] / "support/full_disk.c"
 
@@ -121,38 +121,40 @@ def outline(image: np.ndarray) -> np.ndarray:
 @pytest.mark.timeout(7200)
 def test_killed_at_random_moments(scattered: Path, rig_path: Path, tmp_path: Path) -> None:
     rng = np.random.default_rng(SEED)
-    out, n_kills, n_done = tmp_path / "out", 0, 0
-    while True:
-        process = subprocess.Popen(
-            arguments(scattered, out), stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
-        )
-        if n_kills == N_KILLS:
-            _, errors = process.communicate(timeout=600)
-            assert process.returncode == 0, errors.decode()
-            break
-        wait_for_work(out, process, is_recording=rng.random() < 0.8)
-        time.sleep(rng.exponential(MEAN_DELAY_S))
-        process.send_signal(signal.SIGKILL)
-        process.communicate()
+    children = multiprocessing.get_context("forkserver")
+    children.set_forkserver_preload(["recording_child"])
+    out, n_kills, n_done, n_before_kill = tmp_path / "out", 0, 0, []
+    while n_kills < N_KILLS:
+        process = children.Process(target=go_on, args=(scattered, out))
+        process.start()
+        is_early = rng.random() < 0.2
+        n_more = 0 if is_early else rng.geometric(1 / (1 + N_SHOTS / N_KILLS))
+        wait_for_shots(out, process, n_more=int(n_more))
+        time.sleep(rng.uniform(0.0, 1.0 if is_early else 0.1))
+        process.kill()
+        process.join()
         n_kills += 1
         n_now = n_shots_of(out / "dataset.h5")
         assert n_now >= n_done, "a shot was lost"
         n_done = n_now
-    print(f"{n_kills} kills, {n_done} shots before the last resume")
+        n_before_kill.append(n_now)
+    last = session(arguments(scattered, out))
+    assert last.returncode == 0, last.stderr
+    print(f"{n_kills} kills, with so many shots committed: {n_before_kill}")
     check_complete(out / "dataset.h5", rig_path)
 
 
-def wait_for_work(out: Path, process: "subprocess.Popen[bytes]", *, is_recording: bool) -> None:
-    """Wait until the process has the lock, or until it records: before, it has nothing to lose."""
-    lock, journal, give_up_s = out / "dataset.lock", out / "dataset.journal.jsonl", 120.0
-    n_before = journal.read_text().count(SESSION) if journal.exists() else 0
-    while process.poll() is None and give_up_s > 0:
-        if is_recording and journal.exists() and journal.read_text().count(SESSION) > n_before:
+def wait_for_shots(out: Path, process: BaseProcess, *, n_more: int) -> None:
+    """Wait until the process has stored so many shots; for none, until it has the lock."""
+    path, give_up_s = out / "dataset.h5", 120.0
+    wanted = n_shots_of(path) + n_more
+    while process.is_alive() and give_up_s > 0:
+        if n_more == 0 and lock_holder(path) is not None:
             return
-        if not is_recording and lock.exists() and str(process.pid) in lock.read_text():
+        if n_more > 0 and n_shots_of(path) >= wanted:
             return
-        time.sleep(0.01)
-        give_up_s -= 0.01
+        time.sleep(0.02)
+        give_up_s -= 0.02
 
 
 @pytest.mark.timeout(7200)

@@ -16,7 +16,7 @@ from tronlab.calib.record import CalibrationRecord
 from tronlab.campaign.recompute import recompute_truth
 from tronlab.campaign.run import run_campaign
 from tronlab.cli import dataset as command
-from tronlab.dataset import schema
+from tronlab.dataset import columns, schema
 from tronlab.dataset.admission import drift_values_of
 from tronlab.dataset.reader import Dataset
 from tronlab.dataset.sessions import write_session
@@ -41,7 +41,7 @@ def record_path(tmp_path: Path) -> Path:
 def arrays_of(path: Path) -> dict[str, np.ndarray]:
     """Give all numbers of a dataset by the path they have in the file."""
     with Dataset(path) as dataset:
-        found = {column.path: dataset.rows(column.path) for column in schema.ROW_COLUMNS}
+        found = {column.path: dataset.rows(column.path) for column in columns.ROW_COLUMNS}
         shots = range(dataset.n_shots)
         found[schema.IMAGE] = np.array([dataset.image(i) for i in shots])
         found[schema.MASK] = np.array([dataset.mask(i) for i in shots])

@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -277,14 +276,11 @@ def _wait_for_line(process: "subprocess.Popen[str]", start: str) -> list[str]:
     raise AssertionError(f"no line '{start}' in {lines}")
 
 
-@pytest.fixture
-def long_campaign(campaign_path: Path, edit_yaml: EditYaml) -> Path:
-    edit_yaml(campaign_path, "trajectory.n_points", 300)
-    return campaign_path
-
-
-def test_ctrl_c_stops_in_good_order_with_exit_code_130(long_campaign: Path, tmp_path: Path) -> None:
-    process = _start(long_campaign, tmp_path / "out")
+def test_ctrl_c_stops_in_good_order_with_exit_code_130(
+    campaign_path: Path, edit_yaml: EditYaml, tmp_path: Path
+) -> None:
+    edit_yaml(campaign_path, "trajectory.n_points", 120)
+    process = _start(campaign_path, tmp_path / "out")
     _wait_for_line(process, "shots: ")
     process.send_signal(signal.SIGINT)
     _, stderr = process.communicate(timeout=60)
@@ -292,24 +288,6 @@ def test_ctrl_c_stops_in_good_order_with_exit_code_130(long_campaign: Path, tmp_
     path = tmp_path / "out" / "dataset.h5"
     with Dataset(path) as dataset:
         assert dataset.status == "aborted"
-        assert 30 <= dataset.n_shots < 300
-        assert f"stopped: {dataset.n_shots} of 300 shots are in {path}" in stderr
+        assert 12 <= dataset.n_shots < 120
+        assert f"stopped: {dataset.n_shots} of 120 shots are in {path}" in stderr
     assert "Traceback" not in stderr
-
-
-def test_killed_run_is_readable(long_campaign: Path, tmp_path: Path) -> None:
-    process = _start(long_campaign, tmp_path / "out")
-    _wait_for_line(process, "shots: ")
-    time.sleep(0.2)
-    process.kill()
-    process.communicate(timeout=60)
-    with Dataset(tmp_path / "out" / "dataset.h5") as dataset:
-        assert dataset.status == "running"
-        n_shots = dataset.n_shots
-        assert n_shots >= 30
-        assert list(dataset.shot_ids) == list(range(1, n_shots + 1))
-        dataset.image(n_shots - 1)
-        n_checked = dataset.drift_checks[-1].n_shots_before
-        assert n_checked in {20 * (n_shots // 20), 20 * (n_shots // 20 - 1)}
-        expected = ("good",) * n_checked + ("unchecked",) * (n_shots - n_checked)
-        assert dataset.truth_states == expected

@@ -6,14 +6,16 @@ import numpy as np
 
 from tronlab.dataset.reader import Dataset
 from tronlab.dataset.records import Truth
+from tronlab.dataset.schema import TRUTH
 from tronlab.geometry.poses import FloatArray
 
 
 def describe_accuracy(dataset_path: Path) -> str:
     """Give one sigma of truth at the nearest and the farthest shot."""
     with Dataset(dataset_path) as dataset:
-        truths = sorted(dataset.truths(), key=lambda truth: truth.range_los_m)
-    nearest, farthest = _sigmas(truths[0]), _sigmas(truths[-1])
+        ranges_m = dataset.rows(f"{TRUTH}/range_los_m")
+        ends = (dataset.truth(int(i)) for i in (ranges_m.argmin(), ranges_m.argmax()))
+        nearest, farthest = map(_sigmas, ends)
     return f"truth, one sigma: {nearest} in the nearest shot, {farthest} in the farthest"
 
 

@@ -3,15 +3,21 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from tronlab.campaign.job import Files
 from tronlab.dataset.location import DATASET_NAME
 from tronlab.dataset.reader import Dataset
 from tronlab.dataset.records import Session, ShotQuality
-from tronlab.dataset.schema import CAMERA, QUALITY_FLAGS, Status
+from tronlab.dataset.schema import CAMERA, QUALITY_FLAGS, SESSION, Status
 from tronlab.errors import ConfigError, PlanError
+from tronlab.geometry.camera import CameraModel
 from tronlab.planning.shots import Plan, Shot
 
+_MAX_SHOT_ID = 1_000_000
+"""Ten times as many as the longest campaign has: a slip of the finger must not fill the memory."""
 _N_STANDARD = 200
 """So many shots are enough to know how sharp and how bright they are."""
 
@@ -27,15 +33,15 @@ class Recorded:
     """Of the shots that are there."""
     flagged_ids: frozenset[int]
     """Of those, the ones a quality gate flagged."""
+    last_session: Session
+    """The last one that took a shot, so that a start that came to nothing does not count."""
     last_time_s: float
     """When the last image was taken, seconds since 1970 UTC; 0 if there is none."""
+    camera: CameraModel
+    image_dtype: np.dtype[Any] | None
+    """None before the first image."""
     standard: tuple[tuple[ShotQuality, float], ...]
     """Of the last shots: what the quality gate goes on comparing with, and their range, metres."""
-
-    @property
-    def last_session(self) -> Session:
-        """Get the last session."""
-        return self.sessions[-1]
 
 
 def dataset_in(folder: Path) -> Path:
@@ -70,14 +76,17 @@ def read_recorded(path: Path) -> Recorded:
                 " older layout), so nothing can be added to it; record a new one:"
                 " tronlab run CAMPAIGN.yaml --out DIR"
             )
-        times_s = dataset.rows(f"{CAMERA}/time_s")
+        times_s, sessions = dataset.rows(f"{CAMERA}/time_s"), dataset.rows(SESSION)
         return Recorded(
             path=path,
             status=dataset.status,
             sessions=dataset.sessions,
             shot_ids=frozenset(map(int, dataset.shot_ids)),
             flagged_ids=frozenset(map(int, dataset.shot_ids[dataset.rows(QUALITY_FLAGS) != 0])),
+            last_session=dataset.sessions[int(sessions.max()) - 1 if sessions.size else -1],
             last_time_s=float(times_s.max()) if times_s.size else 0.0,
+            camera=dataset.camera,
+            image_dtype=dataset.image_dtype,
             standard=tuple(_standard(dataset)),
         )
 
@@ -159,7 +168,13 @@ def parse_shot_ids(text: str) -> tuple[int, ...]:
         first, dash, last = part.strip().partition("-")
         if not first.isdecimal() or (dash and not last.isdecimal()):
             raise ConfigError(f"--shots {text}: '{part.strip()}' is no shot; write 3,7-9")
-        ids += range(int(first), int(last if dash else first) + 1)
+        begin, end = int(first), int(last if dash else first)
+        if not begin <= end <= _MAX_SHOT_ID:
+            raise ConfigError(
+                f"--shots {text}: '{part.strip()}' goes from {begin} to {end}; expected numbers"
+                f" that go up, at most {_MAX_SHOT_ID}"
+            )
+        ids += range(begin, end + 1)
     return tuple(dict.fromkeys(ids))
 
 

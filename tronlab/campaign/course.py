@@ -227,8 +227,9 @@ class Course:
 
     def renew_patience(self, setbacks: Setbacks | None) -> None:
         """Wait as long again for what the run waited for when a person paused it."""
-        if setbacks is not None:
+        if setbacks is not None and setbacks.suspension is not None:
             setbacks.renew_patience(self.taker.clock.monotonic_s)
+            self.listener.on_suspend(setbacks.suspension)
 
     @property
     def _n_retakes_left(self) -> int | None:

@@ -205,9 +205,10 @@ def _campaign(plan: Plan, crew: _Crew) -> Messages:
 
 def _tasks(crew: _Crew) -> Messages:
     """Take all shots, those too that a person adds, and check for drift between them."""
-    course = crew.course
+    course, stop = crew.course, crew.course.stop
     while True:
-        if course.stop.is_asked and (crew.console is not None or course.schedule.has_next):
+        can_ask = crew.console is not None and not stop.is_final
+        if stop.is_asked and (can_ask or course.schedule.has_next):
             yield from _pause(crew)
         if course.is_check_due:
             yield from _until_done(_check_task(crew), crew)

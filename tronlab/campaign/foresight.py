@@ -1,23 +1,24 @@
 """What is known of a campaign before any device is connected: its plan, assessed."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from tronlab.calib.record import CalibrationRecord
-from tronlab.campaign.config import Campaign, CampaignConfig
+from tronlab.campaign.config import CampaignConfig
 from tronlab.campaign.drift import n_checks
+from tronlab.campaign.job import Job
 from tronlab.campaign.live import Live
 from tronlab.campaign.rig import Rig
 from tronlab.devices.protocols import MotionModel, Robot
 from tronlab.devices.registry import make_device
 from tronlab.errors import PlanError
-from tronlab.planning.assess import assess
+from tronlab.planning.assess import MAX_TRIES, assess
 from tronlab.planning.assessment import PlanAssessment
 from tronlab.planning.context import PlanContext, Rules, TerrainRenderer
 from tronlab.planning.duration import Timing
 from tronlab.planning.order import in_least_motion
-from tronlab.planning.shots import Plan, make_plan
+from tronlab.planning.shots import Plan, Shot
 from tronlab.terrain.heightmap import HeightMap
-from tronlab.trajectory.poses import camera_poses
 
 _STAGE = "plan"
 _N_NAMED = 20
@@ -42,44 +43,48 @@ class Foresight:
         return self.context.renderer
 
     @property
+    def shots(self) -> tuple[Shot, ...]:
+        """Get the shots that can be taken, in order."""
+        return tuple(shot.shot for shot in self.assessment.shots if not shot.is_refused)
+
+    @property
     def plan(self) -> Plan:
         """Get the shots that can be taken, in order.
 
         Raises:
             PlanError: There is none.
         """
-        shots = tuple(shot.shot for shot in self.assessment.shots if not shot.is_refused)
-        if not shots:
+        if not self.shots:
             raise PlanError(_refusal(self.assessment))
-        return Plan(shots)
+        return Plan(self.shots)
 
 
 def foresee(
-    campaign: Campaign, rig: Rig, calibration: CalibrationRecord, *, live: Live
+    job: Job, shots: Sequence[Shot], *, live: Live, max_tries: int = MAX_TRIES
 ) -> Foresight:
-    """Assess the plan of a campaign; no device is connected and nothing moves.
+    """Assess what shall be taken; no device is connected and nothing moves.
 
     Args:
-        campaign: The campaign file.
-        rig: The rig file; its robot is made, to ask how it would move, but not connected.
-        calibration: A complete record of that rig.
+        job: Campaign, rig and calibration record. The robot of the rig is made, to ask how it would
+            move, but not connected.
+        shots: Shots of its plan to take. Only these are looked at, for the ways between them depend
+            on which they are.
         live: Shows how far it is.
+        max_tries: How many poses may be tried instead of refused ones; 0: none.
 
     Raises:
-        ConfigError: The trajectory or the robot's driver is not as it should be.
+        ConfigError: The robot's driver is not as it should be.
         CalibrationError: The record lacks a part.
         TerrainError: The terrain cannot be made or read.
-        PlanError: There is no shot.
     """
     from tronlab.render.heightfield import HeightfieldRenderer
 
-    config = campaign.config
+    config, rig, calibration = job.campaign.config, job.rig, job.calibration
     mounting = calibration.mounting(rig.config.laboratory.mounting)
-    plan = make_plan(camera_poses(config.trajectory), mounting=mounting)
     heightmap = rig.load_heightmap(live.announce)
     live.announce("plan: preparing the terrain")
     context = PlanContext(
-        robot=_robot(rig, seed=config.seed, heightmap=heightmap),
+        robot=_robot(rig, seed=job.seed, heightmap=heightmap),
         mounting=mounting,
         camera=calibration.camera,
         tmac_from_cam=calibration.tmac_from_cam,
@@ -96,12 +101,16 @@ def foresee(
         ),
         timing=_timing(config, calibration),
     )
+    if not shots:  # a run that was killed after its last shot
+        return Foresight(PlanAssessment(shots=(), drift_checks_s=0.0, start_s=0.0), context)
+    plan = Plan(tuple(shots))
     if config.plan.order == "least_motion" and isinstance(context.robot, MotionModel):
         plan = in_least_motion(plan, context.robot)
     live.advance(_STAGE, n_done=0, n_all=len(plan.shots))
     assessment = assess(
         plan,
         context,
+        max_tries=max_tries,
         on_shot=lambda n_done, n_all: live.advance(_STAGE, n_done=n_done, n_all=n_all),
     )
     return Foresight(assessment, context)

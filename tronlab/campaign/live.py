@@ -11,6 +11,8 @@ from tronlab.dataset.records import ShotRecord
 PLAIN_STEP = 0.1
 """Without a terminal there is one line each time so much of the work is done."""
 
+RUNNING = "running"
+"""The state that is nothing to worry about."""
 SHOTS = "shots"
 """The stage whose time is learned from its shots."""
 

@@ -20,12 +20,10 @@ from rich.progress import (
 from rich.table import Table
 from rich.text import Text
 
-from tronlab.campaign.live import SHOTS, learn_from, summary
+from tronlab.campaign.live import RUNNING, SHOTS, learn_from, summary
 from tronlab.campaign.pace import Pace, describe_split, shot_duration_s
 from tronlab.dataset.records import ShotRecord
 
-RUNNING = "running"
-"""The state that is nothing to worry about."""
 N_SHOWN = 8
 """So many shots are in the table."""
 _COLUMNS = ("shot", "attempt", "range m", "usable %", "sigma mm", "time s", "flags")

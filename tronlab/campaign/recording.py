@@ -8,7 +8,7 @@ from pathlib import Path
 from tronlab.campaign.acceptance import Acceptance
 from tronlab.campaign.accuracy import describe_accuracy
 from tronlab.campaign.brightness import LightModel
-from tronlab.campaign.chronicle import Chronicle
+from tronlab.campaign.chronicle import Chronicle, Scope
 from tronlab.campaign.console import Console
 from tronlab.campaign.continuation import Recorded
 from tronlab.campaign.drift import Vigil, begin_vigil, n_checks, open_watch
@@ -59,6 +59,19 @@ class Assignment:
     def number(self) -> int:
         """Get the number of the session."""
         return 1 + (len(self.recorded.sessions) if self.recorded else 0)
+
+    @property
+    def scope(self) -> Scope:
+        """Get which shots the dataset shall have, and which of them now."""
+        planned = frozenset(shot.shot_id for shot in self.job.plan.shots)
+        to_take = frozenset(shot.shot_id for shot in self.shots)
+        if self.recorded is None:
+            return Scope(planned, to_take)
+        recorded = self.recorded.shot_ids
+        if self.recorded.status == "complete":  # what is missing was left out on purpose
+            return Scope(planned | recorded, to_take)
+        looked_at = {shot.shot.shot_id for shot in self.foresight.assessment.shots}
+        return Scope(planned | recorded, to_take, planned - recorded - looked_at)
 
     @property
     def accepted(self) -> tuple[str, ...]:
@@ -159,7 +172,7 @@ def _record(
         job.campaign.config.notify, campaign=job.campaign.name, dataset=path, warn=live.announce
     )
     with notifier, _open_writer(assignment, session, vigil) as writer:
-        chronicle = Chronicle(writer, Journal(path), live, notifier, n_planned=len(job.plan.shots))
+        chronicle = Chronicle(writer, Journal(path), live, notifier, scope=assignment.scope)
         if views:
             writer.add_references(views)
         with (
@@ -227,7 +240,7 @@ def _open_writer(assignment: Assignment, session: Session, vigil: Vigil | None) 
             session,
             n_rows=n_rows,
             segment_shots=segment_shots,
-            n_shots_planned=len(assignment.job.plan.shots),
+            n_shots_planned=len(assignment.scope.planned),
         )
     else:
         writer = DatasetWriter(

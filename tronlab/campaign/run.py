@@ -22,7 +22,7 @@ from tronlab.campaign.foresight import Foresight, foresee, refuse
 from tronlab.campaign.job import DEFAULT_OUT_DIR, Files, Job, new_dataset_path, read_job
 from tronlab.campaign.live import Live, SilentLive
 from tronlab.campaign.recording import Assignment, record
-from tronlab.campaign.session import refuse_another_camera, refuse_changes
+from tronlab.campaign.session import refuse_changes, refuse_other_images
 from tronlab.campaign.stop import StopRequest
 from tronlab.dataset.lock import run_lock
 from tronlab.dataset.records import SessionKind
@@ -78,7 +78,7 @@ def run_campaign(
     job = read_job(files, seed=seed, acceptance=acceptance)
     path = new_dataset_path(out_dir or DEFAULT_OUT_DIR / job.campaign.name)
     with _folder(path.parent), run_lock(path):
-        foresight = _foresee(job, live)
+        foresight = _foresee(job, job.plan.shots, live)
         record(
             Assignment(
                 job=job,
@@ -205,19 +205,25 @@ def _go_on(
         changes = Acceptance(are_changes_accepted, live.announce, option="--accept-changes")
         last = recorded.last_session
         job = read_job(files_of(last, files), seed=last.seed, acceptance=calibration)
-        refuse_another_camera(last, job.calibration)
+        refuse_other_images(recorded, job)
         changes.let_pass(lambda: refuse_changes(last, job))
         shots = choose(job, recorded)
         if not shots and recorded.status == "complete":
             live.announce(f"{path}: nothing is left to take")
             return path
-        foresight = _foresee(job, live)
+        foresight = _foresee(job, shots, live)
+        possible = foresight.shots
+        wanted = {shot.shot_id for shot in shots}
+        if refused := sorted(wanted - {shot.shot_id for shot in possible}):
+            live.announce(f"left out, the plan refuses them: {', '.join(map(str, refused))}")
+            if not possible and recorded.status == "complete":
+                return path
         assignment = Assignment(
             job=job,
             foresight=foresight,
             dataset_path=path,
             kind=kind,
-            shots=_in_order(foresight, shots),
+            shots=possible,
             acceptances=(calibration, changes),
             recorded=recorded,
         )
@@ -225,23 +231,18 @@ def _go_on(
     return path
 
 
-def _foresee(job: Job, live: Live) -> Foresight:
-    """See, before anything moves, whether every shot can be taken.
+def _foresee(job: Job, shots: Sequence[Shot], live: Live) -> Foresight:
+    """See, before anything moves, whether all shots of a session can be taken.
 
     Raises:
         PlanError: One cannot, and the campaign does not want it skipped.
     """
-    foresight = foresee(job.campaign, job.rig, job.calibration, live=live)
-    live.announce(brief_summary(foresight.assessment, begun=datetime.now().astimezone()))
+    foresight = foresee(job, shots, live=live, max_tries=0)
+    if shots:
+        live.announce(brief_summary(foresight.assessment, begun=datetime.now().astimezone()))
     if job.campaign.config.plan.on_refused == "stop":
         refuse(foresight)
     return foresight
-
-
-def _in_order(foresight: Foresight, shots: Sequence[Shot]) -> tuple[Shot, ...]:
-    """Give the shots in the order of the plan, without those it refuses."""
-    wanted = {shot.shot_id for shot in shots}
-    return tuple(shot for shot in foresight.plan.shots if shot.shot_id in wanted)
 
 
 @contextmanager

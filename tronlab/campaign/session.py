@@ -9,17 +9,20 @@ from typing import Any
 from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
-from tronlab.calib.record import CalibrationRecord
+from tronlab.campaign.continuation import Recorded
 from tronlab.campaign.job import Job
 from tronlab.campaign.rig import EXTENDS_MARK
 from tronlab.dataset.records import Session, SessionKind
 from tronlab.dataset.skeleton import utc_now
-from tronlab.errors import CalibrationError, ChangedError
+from tronlab.errors import ChangedError
 
 _HARMLESS = frozenset({"title", "score", "plan", "retry", "suspend", "recording", "notify"})
 """Sections of a campaign file that a shot looks the same without."""
 _COMPARED_BY_CONTENT = frozenset({"trajectory", "rig", "calibration", "seed"})
-"""What they lead to is compared: another path to the same rig is no change."""
+"""What they lead to is compared: another path to the same rig is no change. The seed stays that of
+the last session."""
+_BYTES_PER_PIXEL = {"Mono8": 1, "Mono12": 2}
+_ANEW = "record a new one: tronlab run CAMPAIGN.yaml --out DIR"
 
 
 def new_session(
@@ -62,7 +65,7 @@ def refuse_changes(last: Session, job: Job) -> None:
         job: What shall go on.
 
     Raises:
-        ChangedError: Plan, rig, calibration record or seed are others.
+        ChangedError: Plan, rig or calibration record are others.
     """
     changes = list(_changes(last, job))
     if changes:
@@ -72,22 +75,23 @@ def refuse_changes(last: Session, job: Job) -> None:
         )
 
 
-def refuse_another_camera(last: Session, calibration: CalibrationRecord) -> None:
-    """See that the lens is the one the dataset was begun with: a dataset has one camera model.
+def refuse_other_images(recorded: Recorded, job: Job) -> None:
+    """See that images will be as those in the dataset: it has one camera model and one type.
 
     Raises:
-        ChangedError: It was calibrated anew; nobody can accept that.
+        ChangedError: They will not; nobody can accept that.
     """
-    try:
-        recorded = CalibrationRecord.from_json(
-            last.calibration_json, source="the recorded calibration", check_signature=False
-        ).camera
-    except CalibrationError:
-        return
-    if recorded != calibration.camera:
+    if recorded.camera != job.calibration.camera:
         raise ChangedError(
-            f"{calibration.source}: has another camera model than the dataset, and a dataset has"
-            " only one; record a new one: tronlab run CAMPAIGN.yaml --out DIR"
+            f"{job.calibration.source}: has another camera model than the dataset, and a dataset"
+            f" has only one; {_ANEW}"
+        )
+    pixel_format = job.campaign.config.camera.pixel_format
+    n_bytes = recorded.image_dtype.itemsize if recorded.image_dtype else None
+    if n_bytes not in (None, _BYTES_PER_PIXEL[pixel_format]):
+        raise ChangedError(
+            f"{job.campaign.path}: camera.pixel_format: {pixel_format}, but the images of the"
+            f" dataset are {recorded.image_dtype}, and a dataset has only one type; {_ANEW}"
         )
 
 
@@ -104,8 +108,6 @@ def _changes(last: Session, job: Job) -> Iterator[str]:
         yield f"the rig ({job.rig.path})"
     if last.calibration_json != job.calibration_text:
         yield f"the calibration record ({job.calibration.source})"
-    if last.seed != job.seed:
-        yield f"the seed ({last.seed}, now {job.seed})"
 
 
 def _sections(campaign_yaml: str) -> dict[str, Any]:

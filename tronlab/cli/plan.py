@@ -73,7 +73,7 @@ def plan(
             folder = out or DEFAULT_OUT_DIR / f"{job.campaign.name}-plan"
             is_replaced = check_plan_folder(folder)
             live.announce(f"plan of '{job.campaign.name}': no device is connected, nothing moves")
-            foresight = foresee(job.campaign, job.rig, job.calibration, live=live)
+            foresight = foresee(job, job.plan.shots, live=live)
             report = _report(
                 job, foresight, begun=begun, has_pictures=pictures, accepted=acceptance.accepted
             )

@@ -132,7 +132,7 @@ def run(
                     console=console,
                 )
     except KeyboardInterrupt as interrupt:
-        typer.echo(str(interrupt) or "interrupted: nothing was recorded", err=True)
+        typer.echo(str(interrupt) or "interrupted: nothing more was recorded", err=True)
         raise typer.Exit(INTERRUPTED) from None
     typer.echo(path)
 

@@ -7,7 +7,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tronlab.dataset import schema
+from tronlab.dataset import columns, schema
 from tronlab.dataset.records import DriftRecord, Provenance, ReferenceView, ShotRecord
 from tronlab.errors import DatasetError
 
@@ -78,7 +78,7 @@ def values_of(path: Path, shot: ShotRecord) -> Values:
             column.shape,
             may_be_unknown=column.is_optional or (is_imported and column.is_of_laboratory),
         )
-        for column in schema.COLUMNS
+        for column in columns.COLUMNS
     }
 
 
@@ -106,13 +106,13 @@ def drift_values_of(path: Path, check: DriftRecord, reflectors: Sequence[str]) -
             column.row_shape(len(reflectors)),
             may_be_unknown=column.is_optional,
         )
-        for column in schema.DRIFT_COLUMNS
+        for column in columns.DRIFT_COLUMNS
     }
 
 
 def _fitting(
     where: str,
-    column: schema.Column,
+    column: columns.Column,
     given: ArrayLike,
     shape: tuple[int, ...],
     *,

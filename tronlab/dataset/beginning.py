@@ -9,15 +9,16 @@ from uuid import uuid4
 import h5py
 import numpy as np
 
-from tronlab.dataset import places, schema, skeleton
+from tronlab.dataset import columns, places, schema, skeleton
 from tronlab.dataset.admission import check_provenance
 from tronlab.dataset.journal import Journal
 from tronlab.dataset.master import Master
 from tronlab.dataset.reader import Dataset
 from tronlab.dataset.records import Provenance, Session
-from tronlab.dataset.segments import Segment, plan_segments
+from tronlab.dataset.segments import Segment, check_no_segments, plan_segments, segment_of
 from tronlab.dataset.sessions import has_session, write_session
-from tronlab.errors import DatasetError
+from tronlab.dataset.stored_shots import StoredShots
+from tronlab.errors import DatasetError, IntegrityError
 
 N_VERIFIED_ROWS: Final = 100
 """The last rows that are verified before a recording goes on: more than a power cut can damage."""
@@ -46,12 +47,18 @@ class Beginning:
 
 
 def begin(
-    path: Path, provenance: Provenance, session: Session | None, *, n_spare_rows: int
+    path: Path,
+    provenance: Provenance,
+    session: Session | None,
+    *,
+    n_spare_rows: int,
+    has_segments: bool,
 ) -> tuple[Master, Beginning]:
     """Set up an empty dataset.
 
     Raises:
-        DatasetError: The file exists, cannot be created, or the provenance makes no sense.
+        DatasetError: The file exists, images of another dataset are where its own would be, it
+            cannot be created, or the provenance makes no sense.
     """
     check_provenance(path, provenance)
     places.check_is_new(path)
@@ -65,12 +72,14 @@ def begin(
     master = Master(path)
 
     def build(file: h5py.File) -> None:
+        if has_segments:
+            check_no_segments(path)
         skeleton.create_skeleton(file, provenance, uuid=beginning.uuid, n_rows=beginning.room)
         if session is not None:
             write_session(file, session)
 
     try:
-        master.create(build, beginning.room * schema.ROW_BYTES)
+        master.create(build, beginning.room * columns.ROW_BYTES)
     except (OSError, RuntimeError, ValueError, TypeError) as error:
         raise DatasetError(f"{path}: cannot be set up: {error}") from error
     return master, beginning
@@ -99,7 +108,7 @@ def begin_again(
     master = Master(path)
     try:
         master.copy()
-        with master.structure(beginning.room * schema.ROW_BYTES) as file:
+        with master.structure(beginning.room * columns.ROW_BYTES) as file:
             _prepare(file, beginning, sessions)
         for row in damaged:
             _drop(master, row)
@@ -138,7 +147,7 @@ def _found(
             )
         ids = stored.shot_ids.tolist()
         last = range(max(0, stored.n_rows - N_VERIFIED_ROWS), stored.n_rows)
-        damaged = {row: ids[row] for row in last if not stored.is_whole(row)}
+        damaged = {row: ids[row] for row in last if not _is_whole(stored, row)}
         found = Beginning(
             uuid=dataset.uuid or "",
             shape=dataset.camera.shape,
@@ -157,6 +166,22 @@ def _found(
             n_checks=len(dataset.drift_checks),
         )
     return found, (*sessions, session), damaged
+
+
+def _is_whole(stored: StoredShots, row: int) -> bool:
+    """Tell whether a row fits its checksums.
+
+    Raises:
+        IntegrityError: The segment that comes next to be written cannot be read.
+    """
+    try:
+        return stored.is_whole(row)
+    except IntegrityError:
+        # A full segment was forced to the disk: if it is lost, no power cut is to blame, the row
+        # stays for the day it is put back, and its shot can be taken again.
+        if segment_of(stored.segments, row).end_row > stored.n_rows:
+            raise
+        return stored.has_good_values(row)
 
 
 def _with_room(
@@ -187,5 +212,5 @@ def _prepare(file: h5py.File, beginning: Beginning, sessions: Sequence[Session])
 
 def _drop(master: Master, row: int) -> None:
     """Make a row void: it keeps its place, so that no other row moves."""
-    for path, value in schema.void_row().items():
+    for path, value in columns.void_row().items():
         master.write_row(path, row, value)

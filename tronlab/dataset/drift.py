@@ -6,7 +6,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from tronlab.dataset import schema
+from tronlab.dataset import columns, schema
 from tronlab.dataset.records import DriftRecord
 from tronlab.devices.readings import PointReading
 from tronlab.errors import IntegrityError
@@ -65,9 +65,9 @@ def doubts(shot_ids: Sequence[int], states: Sequence[schema.TruthState]) -> tupl
 
 
 def spans(shot_ids: Sequence[int]) -> str:
-    """Write ids as spans, such as ``1-20, 41``."""
+    """Write ids in any order as spans, such as ``1-20, 41``."""
     spans: list[list[int]] = []
-    for shot_id in shot_ids:
+    for shot_id in sorted(shot_ids):
         if spans and shot_id == spans[-1][-1] + 1:
             spans[-1][1:] = [shot_id]
         else:
@@ -90,7 +90,7 @@ def drift_records(
     """
     values = {path: column for path, column in rows.items() if path != schema.DRIFT_CRC32}
     for k, crc32 in enumerate(rows[schema.DRIFT_CRC32]):
-        if schema.checksum(column[k : k + 1] for column in values.values()) != crc32:
+        if columns.checksum(column[k : k + 1] for column in values.values()) != crc32:
             raise IntegrityError(
                 f"drift check {k + 1} is damaged: its checksum does not match; fetch the file"
                 " again from its source"

@@ -25,7 +25,7 @@ class Hdf5Reader:
     def __contains__(self, path: str) -> bool:
         """Tell whether there is a group or dataset."""
         self._check_open()
-        return path in self._file
+        return path in self._objects or path in self._file  # HDF5 itself is slow to answer
 
     def close(self) -> None:
         """Close the file; may be called twice."""

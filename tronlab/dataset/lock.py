@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from tronlab.dataset.places import lock_path
+from tronlab.dataset.places import is_at, lock_path
 from tronlab.dataset.skeleton import utc_now
 from tronlab.errors import DatasetError
 
@@ -89,7 +89,7 @@ def _acquired(path: Path) -> int | None:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            if _is_at(path, descriptor):
+            if is_at(path, descriptor):  # its last holder may have removed it meanwhile
                 _sign(descriptor)
                 return descriptor
         except BlockingIOError:
@@ -100,14 +100,6 @@ def _acquired(path: Path) -> int | None:
         os.close(descriptor)
         time.sleep(_BETWEEN_TRIES_S)
     return None
-
-
-def _is_at(path: Path, descriptor: int) -> bool:
-    """Tell whether the file is still there: its last holder may have removed it meanwhile."""
-    try:
-        return os.path.samestat(path.stat(), os.fstat(descriptor))
-    except FileNotFoundError:
-        return False
 
 
 def _sign(descriptor: int) -> None:

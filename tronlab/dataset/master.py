@@ -20,6 +20,9 @@ from tronlab.dataset.segments import uuid_of
 from tronlab.dataset.skeleton import dataset_at
 from tronlab.errors import DatasetError
 
+_WRITE_ERRORS = (OSError, RuntimeError, ValueError)
+"""What is raised when the operating system does not take what is written; HDF5 has its own."""
+
 
 class Master:
     """The file that holds everything of a dataset besides the images of its segments."""
@@ -42,8 +45,8 @@ class Master:
             OSError, RuntimeError, ValueError, TypeError: It cannot be made.
         """
         self._clear_away()
+        self._keep_others_away()
         with self._removed_on_failure():
-            self._keep_others_away()
             places.probe_room(self._part, n_bytes)
             with h5py.File(self._part, "w", locking=False) as file:
                 build(file)
@@ -56,8 +59,8 @@ class Master:
             OSError: It cannot be made.
         """
         self._clear_away()
+        self._keep_others_away()
         with self._removed_on_failure():
-            self._keep_others_away()
             places.probe_room(self._part, self.path.stat().st_size)
             shutil.copyfile(self.path, self._part)
 
@@ -111,6 +114,18 @@ class Master:
         places.put_in_place(self._part, self.path)
         self.is_published = True
 
+    @contextmanager
+    def explaining(self, what: str, more: str = "") -> Generator[None]:
+        """Turn what is raised when the disk does not take something into one clear error.
+
+        Raises:
+            DatasetError: It did not.
+        """
+        try:
+            yield
+        except _WRITE_ERRORS as error:
+            raise DatasetError(f"{self.path}: {what}: {error}{more}") from error
+
     def close(self) -> None:
         """Close the file; without its name it is removed. May be called twice."""
         self._close_values()
@@ -122,9 +137,25 @@ class Master:
         self.is_open = False
 
     def _keep_others_away(self) -> None:
-        self._guard = os.open(self._part, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
-        # HDF5 takes the same lock for reading, and an exclusive one for writing.
-        fcntl.flock(self._guard, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        """Begin the file; one that another process has begun meanwhile is theirs and stays."""
+        try:
+            guard = os.open(self._part, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
+        except FileExistsError as error:
+            raise self._busy() from error
+        try:
+            # HDF5 takes the same lock for reading, and an exclusive one for writing.
+            fcntl.flock(guard, fcntl.LOCK_SH)
+            if not places.is_at(self._part, guard):
+                raise self._busy()
+        except BaseException:
+            os.close(guard)
+            raise
+        self._guard = guard
+
+    def _busy(self) -> DatasetError:
+        return DatasetError(
+            f"{self.path}: is being written by another process; wait until that has ended"
+        )
 
     def _open_values(self) -> InPlaceFile:
         if self._values is None:
@@ -152,9 +183,7 @@ class Master:
             try:
                 fcntl.flock(left, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError as error:
-                raise DatasetError(
-                    f"{self.path}: is being written by another process; wait until that has ended"
-                ) from error
+                raise self._busy() from error
             self._discard()
 
     def _discard(self) -> None:

@@ -47,6 +47,14 @@ def sync_folder(folder: Path) -> None:
         os.close(descriptor)
 
 
+def is_at(path: Path, descriptor: int) -> bool:
+    """Tell whether an open file still has a name: another process may have removed it meanwhile."""
+    try:
+        return os.path.samestat(path.stat(), os.fstat(descriptor))
+    except FileNotFoundError:
+        return False
+
+
 def remove(path: Path) -> None:
     """Remove a file that may not be there; what goes wrong must not hide what went wrong before."""
     with suppress(OSError):

@@ -9,7 +9,7 @@ from typing import Any, Self, cast, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from tronlab.dataset import schema
+from tronlab.dataset import columns, schema
 from tronlab.dataset.drift import drift_records, truth_states
 from tronlab.dataset.hdf5 import Hdf5Reader
 from tronlab.dataset.opening import open_dataset
@@ -30,8 +30,6 @@ from tronlab.dataset.stored_provenance import read_provenance
 from tronlab.dataset.stored_shots import StoredShots
 from tronlab.errors import DatasetError, IntegrityError
 from tronlab.geometry.camera import CameraModel
-
-_TRUTH_COLUMNS = ("trs_from_cam", "trs_from_cam_covariance", "range_los_m", "usable_fraction")
 
 
 class Dataset:
@@ -217,11 +215,11 @@ class Dataset:
         except KeyError as error:
             raise IntegrityError(f"{self.path}: there is no session {error}") from None
 
-    def columns(self) -> tuple[schema.ShotColumn, ...]:
+    def columns(self) -> tuple[columns.ShotColumn, ...]:
         """Give the columns of the layout that this file has: older ones lack some optional ones."""
         return tuple(
             column
-            for column in schema.COLUMNS
+            for column in columns.COLUMNS
             if not column.is_optional or column.path in self._file
         )
 
@@ -233,7 +231,7 @@ class Dataset:
         return tuple(
             int(shot_id)
             for i, shot_id in enumerate(self.shot_ids)
-            if schema.checksum(rows[i : i + 1] for rows in values) != checksums[i]
+            if columns.checksum(rows[i : i + 1] for rows in values) != checksums[i]
         )
 
     def image(self, i: int) -> NDArray[np.uint8] | NDArray[np.uint16]:
@@ -251,21 +249,6 @@ class Dataset:
     def truth(self, i: int) -> Truth:
         """Read the ground truth of shot ``i``."""
         return self.stored.truth(self._row(i))
-
-    def truths(self) -> tuple[Truth, ...]:
-        """Read the ground truth of all shots."""
-        poses, covariances, ranges_m, fractions = (
-            self.rows(f"{schema.TRUTH}/{name}") for name in _TRUTH_COLUMNS
-        )
-        return tuple(
-            Truth(
-                trs_from_cam=self.stored.as_pose(f"{schema.TRUTH}/trs_from_cam", row, poses[i]),
-                covariance=covariances[i],
-                range_los_m=float(ranges_m[i]),
-                usable_fraction=float(fractions[i]),
-            )
-            for i, row in enumerate(self._rows)
-        )
 
     def quality(self, i: int) -> ShotQuality | None:
         """Read how good shot ``i`` is; None if nobody measured it."""
@@ -301,7 +284,7 @@ class Dataset:
             self._file.read(f"{schema.REFERENCES}/{name}", i) for name in schema.REFERENCE_VALUES
         ]
         view_id, xyz_quat, image, depth_m, mask = values
-        if schema.checksum(values) != self._file.read(schema.REFERENCES_CRC32, i):
+        if columns.checksum(values) != self._file.read(schema.REFERENCES_CRC32, i):
             raise IntegrityError(
                 f"{self.path}: reference view {view_id} is damaged: its checksum does not match;"
                 " fetch the file again from its source"

@@ -12,7 +12,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from tronlab.dataset import schema
+from tronlab.dataset import columns, schema
 from tronlab.dataset.admission import drift_values_of, values_of
 from tronlab.dataset.records import (
     DriftRecord,
@@ -86,10 +86,10 @@ class DatasetRewriter:
                 self._write(path, i, value)
         stored = np.ascontiguousarray(mask, dtype=np.uint8)
         self._write(schema.MASK, i, stored)
-        self._write(schema.MASK_CRC32, i, schema.checksum([stored]))
+        self._write(schema.MASK_CRC32, i, columns.checksum([stored]))
         crc32 = dataset_at(self._file, schema.VALUES_CRC32)
         rows = (dataset_at(self._file, path)[i : i + 1] for path in _texts(crc32, "order"))
-        self._write(schema.VALUES_CRC32, i, schema.checksum(rows))
+        self._write(schema.VALUES_CRC32, i, columns.checksum(rows))
 
     def write_references(self, views: Sequence[ReferenceView]) -> None:
         """Replace what the reference views show; ids and poses stay."""
@@ -116,7 +116,7 @@ class DatasetRewriter:
             values = drift_values_of(self.target, then, reflectors)
             for path, value in values.items():
                 self._write(path, k, value)
-            self._write(schema.DRIFT_CRC32, k, schema.checksum(values.values()))
+            self._write(schema.DRIFT_CRC32, k, columns.checksum(values.values()))
         self._write(schema.N_DRIFT_CHECKS, (), len(checks))
 
     def write_provenance(self, provenance: Provenance) -> None:

@@ -166,12 +166,26 @@ def is_segment(
         return False
 
 
+def check_no_segments(dataset_path: Path) -> None:
+    """Check that no images of another dataset are where a new one puts its own.
+
+    Raises:
+        DatasetError: There are some.
+    """
+    for path in sorted(images_folder(dataset_path).glob("*.h5")):
+        raise _foreign(path, dataset_path)
+
+
 def _refuse_foreign(path: Path, dataset_path: Path, uuid: str) -> None:
     if path.exists() and uuid_of(path) != uuid:
-        raise DatasetError(
-            f"{path}: is there already and does not belong to {dataset_path}; move the folder"
-            f" {path.parent} elsewhere"
-        )
+        raise _foreign(path, dataset_path)
+
+
+def _foreign(path: Path, dataset_path: Path) -> DatasetError:
+    return DatasetError(
+        f"{path}: is there already and does not belong to {dataset_path}; move the folder"
+        f" {path.parent} elsewhere"
+    )
 
 
 def _fill_segment(

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tronlab import __version__
-from tronlab.dataset import schema
+from tronlab.dataset import columns, schema
 from tronlab.dataset.records import Provenance, ReferenceView
 from tronlab.dataset.segments import (
     Segment,
@@ -70,9 +70,9 @@ def create_skeleton(file: h5py.File, provenance: Provenance, *, uuid: str, n_row
     file["entry/devices"].attrs.update(provenance.devices)
     file[f"{schema.CAMERA}/model"].attrs.update(provenance.camera.to_dict())
     file[schema.UUID] = uuid
-    for column in schema.ROW_COLUMNS:
+    for column in columns.ROW_COLUMNS:
         _create_rows(file, column, n_rows, row_shape=column.shape)
-    file[schema.VALUES_CRC32].attrs["order"] = list(schema.VALUES_ORDER)
+    file[schema.VALUES_CRC32].attrs["order"] = list(columns.VALUES_ORDER)
     _link(file, "entry/overview", "range_los_m", f"{schema.TRUTH}/range_los_m")
     _link(file, "entry/overview", "usable_fraction", f"{schema.TRUTH}/usable_fraction")
     file["entry/overview"].attrs.update(
@@ -124,7 +124,7 @@ def create_references(file: h5py.File, views: tuple[ReferenceView, ...]) -> None
         chunks = (1, *array.shape[1:]) if array.ndim == 3 else None
         stack = group.create_dataset(name, data=array, chunks=chunks)
         stack.attrs["units"] = _REFERENCE_UNITS[name]
-    group["trs_from_cam"].attrs.update(schema.pose_attributes("trs", "cam"))
+    group["trs_from_cam"].attrs.update(columns.pose_attributes("trs", "cam"))
     crc32 = file.create_dataset(schema.REFERENCES_CRC32, data=reference_checksums(arrays))
     crc32.attrs.update({"units": "1", "order": list(schema.REFERENCE_VALUES)})
 
@@ -144,7 +144,7 @@ def reference_arrays(views: Sequence[ReferenceView]) -> dict[str, NDArray[Any]]:
 def reference_checksums(arrays: Mapping[str, NDArray[Any]]) -> NDArray[np.uint32]:
     """Give the checksum of each reference view."""
     return np.array(
-        [schema.checksum(view) for view in zip(*arrays.values(), strict=True)], dtype="<u4"
+        [columns.checksum(view) for view in zip(*arrays.values(), strict=True)], dtype="<u4"
     )
 
 
@@ -152,23 +152,23 @@ def create_drift(file: h5py.File, reflectors: tuple[str, ...], n_checks: int) ->
     """Make room for all planned drift checks, with the counter at 0."""
     group = file.create_group(schema.DRIFT)
     group.attrs.update(NX_class=schema.OPTIONAL_GROUPS[schema.DRIFT], reflectors=list(reflectors))
-    for column in schema.DRIFT_COLUMNS:
+    for column in columns.DRIFT_COLUMNS:
         _create_rows(file, column, n_checks, row_shape=column.row_shape(len(reflectors)))
-    crc32 = schema.Column(schema.DRIFT_CRC32, "1", "<u4")
+    crc32 = columns.Column(schema.DRIFT_CRC32, "1", "<u4")
     _create_rows(file, crc32, n_checks, row_shape=())
-    file[schema.DRIFT_CRC32].attrs["order"] = [column.path for column in schema.DRIFT_COLUMNS]
+    file[schema.DRIFT_CRC32].attrs["order"] = [column.path for column in columns.DRIFT_COLUMNS]
     file.create_dataset(schema.N_DRIFT_CHECKS, data=np.int64(0)).attrs["units"] = "1"
 
 
 def resize_drift(file: h5py.File, n_checks: int) -> None:
     """Make room for so many drift checks in all."""
-    for path in (*(column.path for column in schema.DRIFT_COLUMNS), schema.DRIFT_CRC32):
+    for path in (*(column.path for column in columns.DRIFT_COLUMNS), schema.DRIFT_CRC32):
         _resize(file, path, n_checks)
 
 
 def resize_rows(file: h5py.File, n_rows: int) -> None:
     """Make room for so many rows in all, besides their images."""
-    for column in schema.ROW_COLUMNS:
+    for column in columns.ROW_COLUMNS:
         _resize(file, column.path, n_rows)
 
 
@@ -224,7 +224,7 @@ def create_text(group: h5py.Group, name: str, text: str, n_bytes: int) -> None:
 
 
 def _create_rows(
-    file: h5py.File, column: schema.Column, n_rows: int, *, row_shape: tuple[int, ...]
+    file: h5py.File, column: columns.Column, n_rows: int, *, row_shape: tuple[int, ...]
 ) -> None:
     properties = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
     properties.set_alloc_time(h5py.h5d.ALLOC_TIME_EARLY)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from tronlab.dataset import schema
+from tronlab.dataset import columns, schema
 from tronlab.dataset.hdf5 import Hdf5Reader
 from tronlab.dataset.records import (
     ErrorClass,
@@ -63,9 +63,10 @@ class StoredShots:
         """Give the rows that hold a shot and were not replaced by a later one."""
         is_current = self.shot_ids != schema.VOID_SHOT_ID
         if schema.SUPERSEDES in self._file:
-            is_later = is_current & (self.column(schema.SUPERSEDES) != schema.NO_ROW)
-            for row in np.flatnonzero(is_later):
-                is_current[:row] &= self.shot_ids[:row] != self.shot_ids[row]
+            later = np.flatnonzero(is_current & (self.column(schema.SUPERSEDES) != schema.NO_ROW))
+            last_row_of = dict(zip(self.shot_ids[later].tolist(), later.tolist(), strict=True))
+            first_valid = [last_row_of.get(shot_id, 0) for shot_id in self.shot_ids.tolist()]
+            is_current &= np.arange(self.n_rows) >= np.array(first_valid, np.intp)
         return np.flatnonzero(is_current)
 
     def column(self, path: str) -> NDArray[Any]:
@@ -101,7 +102,7 @@ class StoredShots:
         """Tell whether the values besides image and mask fit their checksum."""
         # A slice keeps the stored type, an index would make a Python value of a text.
         rows = (self._file.read(path, slice(row, row + 1)) for path in self.values_order())
-        return schema.checksum(rows) == int(self._file.read(schema.VALUES_CRC32, row))
+        return columns.checksum(rows) == int(self._file.read(schema.VALUES_CRC32, row))
 
     def is_whole(self, row: int) -> bool:
         """Tell whether everything of a row fits its checksums.
@@ -112,7 +113,7 @@ class StoredShots:
         if self.shot_ids[row] == schema.VOID_SHOT_ID:
             return self.has_good_values(row)
         return self.has_good_values(row) and all(
-            schema.checksum([self._stacked(path, row)]) == int(self._file.read(crc32, row))
+            columns.checksum([self._stacked(path, row)]) == int(self._file.read(crc32, row))
             for path, crc32 in (
                 (schema.IMAGE, schema.IMAGE_CRC32),
                 (schema.MASK, schema.MASK_CRC32),
@@ -272,7 +273,7 @@ class StoredShots:
 
     def _verified(self, path: str, crc_path: str, row: int) -> NDArray[Any]:
         array = self._stacked(path, row)
-        if schema.checksum([array]) != int(self._value(crc_path, row)):
+        if columns.checksum([array]) != int(self._value(crc_path, row)):
             raise IntegrityError(
                 f"{self._path}: shot {self.shot_ids[row]}: {_NAMES_OF_STACKS[path]} is damaged:"
                 " its checksum does not match; fetch the file again from its source"

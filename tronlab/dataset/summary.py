@@ -66,9 +66,10 @@ def skipped_shots(dataset: Dataset, entries: Iterable[JournalEntry]) -> dict[int
     """Give the shots that were given up and are still missing: why, by id."""
     taken = set(dataset.shot_ids.tolist())
     skipped = {
-        int(entry.fields["shot_id"]): entry.text.removeprefix(f"shot {entry.fields['shot_id']}: ")
+        shot_id: entry.text.removeprefix(f"shot {shot_id}: ")
         for entry in entries
-        if entry.kind == "skipped" and "shot_id" in entry.fields
+        # anyone may write into the journal, and anything
+        if entry.kind == "skipped" and isinstance(shot_id := entry.fields.get("shot_id"), int)
     }
     return {shot_id: why for shot_id, why in sorted(skipped.items()) if shot_id not in taken}
 

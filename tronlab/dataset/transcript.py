@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from tronlab.dataset import schema, skeleton
+from tronlab.dataset import columns, schema, skeleton
 from tronlab.dataset.admission import drift_values_of
 from tronlab.dataset.compression import chunk_options, fill_stack
 from tronlab.dataset.hdf5 import Hdf5Reader
@@ -135,7 +135,7 @@ def _write_story(file: h5py.File, original: _Original) -> None:
         dataset_at(file, path)[()] = original.file.text(path)
     for path in (schema.END_TIME, schema.REASON, schema.STATUS):
         stored = dataset_at(file, path)
-        stored[()] = _shortened(original.file.text(path), stored.dtype.itemsize)
+        stored[()] = skeleton.shortened(original.file.text(path), stored.dtype.itemsize)
     for session in original.dataset.sessions:
         write_session(file, session)
     if (recomputation := original.dataset.provenance.recomputation) is not None:
@@ -161,22 +161,17 @@ def _write_journal(file: h5py.File, original: _Original) -> None:
     group[name] = "".join(f"{json.dumps(line)}\n" for line in lines)
 
 
-def _shortened(text: str, n_bytes: int) -> bytes:
-    """Give a text as bytes that fit; no character is cut in half."""
-    return text.encode()[:n_bytes].decode(errors="ignore").encode()
-
-
 def _write_columns(file: h5py.File, original: _Original) -> None:
-    for column in schema.ROW_COLUMNS:
+    for column in columns.ROW_COLUMNS:
         dataset_at(file, column.path)[...] = _rows_of(column, original)
-    values = [dataset_at(file, path)[()] for path in schema.VALUES_ORDER]
+    values = [dataset_at(file, path)[()] for path in columns.VALUES_ORDER]
     # A slice keeps the stored type, an index would make a Python value of a text.
     dataset_at(file, schema.VALUES_CRC32)[...] = [
-        schema.checksum(rows[i : i + 1] for rows in values) for i in range(len(original.rows))
+        columns.checksum(rows[i : i + 1] for rows in values) for i in range(len(original.rows))
     ]
 
 
-def _rows_of(column: schema.Column, original: _Original) -> NDArray[Any]:
+def _rows_of(column: columns.Column, original: _Original) -> NDArray[Any]:
     """Give the rows of a column that are taken over; what an older file lacks is filled in."""
     if column.path == schema.SESSION:
         return original.dataset.stored.sessions()[original.rows]
@@ -207,7 +202,7 @@ def _write_drift(file: h5py.File, original: _Original) -> None:
         values = drift_values_of(original.dataset.path, renumbered, reflectors)
         for path, value in values.items():
             dataset_at(file, path)[k] = value
-        dataset_at(file, schema.DRIFT_CRC32)[k] = schema.checksum(values.values())
+        dataset_at(file, schema.DRIFT_CRC32)[k] = columns.checksum(values.values())
     dataset_at(file, schema.N_DRIFT_CHECKS)[()] = len(checks)
 
 
@@ -261,13 +256,10 @@ def _write_images(
 def _n_bytes(original: _Original, level: int | None) -> int:
     """Give how much room there must be at the start; what images are compressed to is not known."""
     dataset = original.dataset
-    n_values = sum(
-        np.dtype(column.dtype).itemsize * math.prod(column.shape) for column in schema.ROW_COLUMNS
-    )
     n_pixels = math.prod(dataset.camera.shape)
     of_images = n_pixels * (dataset.image_dtype.itemsize + 1) if dataset.image_dtype else 0
     of_view = n_pixels * _BYTES_PER_PIXEL_OF_VIEW
-    of_row = n_values + (of_images if level is None else 0)
+    of_row = columns.ROW_BYTES + (of_images if level is None else 0)
     return len(original.rows) * of_row + dataset.n_references * of_view
 
 

@@ -7,8 +7,8 @@ disk at least once a second, and ``reopen`` drops the last rows if their checksu
 """
 
 import time
-from collections.abc import Generator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -16,17 +16,15 @@ from typing import Final, Self, get_args
 
 import numpy as np
 
-from tronlab.dataset import schema, skeleton
-from tronlab.dataset.admission import Values, check_images, check_view, drift_values_of, values_of
+from tronlab.dataset import columns, schema, skeleton
+from tronlab.dataset.admission import Values, check_images, check_view, values_of
 from tronlab.dataset.beginning import N_VERIFIED_ROWS, Beginning, begin, begin_again
+from tronlab.dataset.drift_writing import DriftWriter
 from tronlab.dataset.image_writing import ImageWriter, MasterImages, SegmentImages
 from tronlab.dataset.master import Master
 from tronlab.dataset.records import DriftRecord, Provenance, ReferenceView, Session, ShotRecord
 from tronlab.dataset.segments import plan_segments
 from tronlab.errors import DatasetError
-
-_WRITE_ERRORS = (OSError, RuntimeError, ValueError)
-"""What is raised when the operating system does not take what is written; HDF5 has its own."""
 
 _SYNC_EVERY_S: Final = 1.0
 _SYNC_EVERY_ROWS: Final = N_VERIFIED_ROWS // 2
@@ -61,10 +59,19 @@ class DatasetWriter:
             n_spare_rows: Room for shots that are taken again.
 
         Raises:
-            DatasetError: The file exists, cannot be created, or the provenance makes no sense.
+            DatasetError: The file exists, images of another dataset are where its own would be, it
+                cannot be created, or the provenance makes no sense.
         """
         self._set_up(
-            *begin(path, provenance, session, n_spare_rows=n_spare_rows), session, segment_shots
+            *begin(
+                path,
+                provenance,
+                session,
+                n_spare_rows=n_spare_rows,
+                has_segments=segment_shots is not None,
+            ),
+            session,
+            segment_shots,
         )
 
     @classmethod
@@ -119,9 +126,7 @@ class DatasetWriter:
         self._n_rows = beginning.n_rows
         self._row_of = dict(beginning.row_of)
         self._has_references = beginning.has_references
-        self._reflectors = beginning.reflectors
-        self._n_checks = self._room_for_checks = beginning.n_checks
-        self._has_planned_checks = False
+        self._drift = DriftWriter(master, beginning.reflectors, beginning.n_checks)
         self._images: ImageWriter | None = None
         if beginning.dtype is not None:
             self._images = self._segment_images(beginning.dtype)
@@ -172,7 +177,7 @@ class DatasetWriter:
             check_view(self.path, self._beginning.shape, view)
         n_bytes = sum(v.image.nbytes + v.depth_m.nbytes + v.mask.nbytes for v in views)
         with (
-            self._explained("the reference views could not be written"),
+            self._master.explaining("the reference views could not be written"),
             self._master.structure(n_bytes) as file,
         ):
             skeleton.create_references(file, tuple(views))
@@ -186,30 +191,7 @@ class DatasetWriter:
                 earlier session, or the disk does not take it.
         """
         self._check_open()
-        if self._has_planned_checks:
-            raise DatasetError(f"{self.path}: the drift checks are already planned")
-        if not reflectors or n_checks < 1:
-            raise DatasetError(
-                f"{self.path}: {n_checks} drift checks of {len(reflectors)} reflectors are planned,"
-                " at least 1 of each needed"
-            )
-        if self._reflectors and self._reflectors != tuple(reflectors):
-            raise DatasetError(
-                f"{self.path}: drift checks of reflectors {', '.join(reflectors)}, those of"
-                f" earlier sessions are {', '.join(self._reflectors)}"
-            )
-        room = self._n_checks + n_checks
-        with (
-            self._explained("the drift checks could not be set up"),
-            self._master.structure() as file,
-        ):
-            if self._reflectors:
-                skeleton.resize_drift(file, room)
-            else:
-                skeleton.create_drift(file, tuple(reflectors), room)
-        self._reflectors = tuple(reflectors)
-        self._room_for_checks = room
-        self._has_planned_checks = True
+        self._drift.plan(reflectors, n_checks)
 
     def commit_drift(self, check: DriftRecord) -> None:
         """Store one drift check; when this returns, a kill does not lose it.
@@ -224,18 +206,7 @@ class DatasetWriter:
         check = replace(check, n_shots_before=self._n_rows)
         if self._session is not None:
             check = replace(check, session=self._session.number)
-        values = drift_values_of(self.path, check, self._reflectors)
-        row = self._n_checks
-        if row == self._room_for_checks:
-            raise DatasetError(f"{self.path}: one more than the {row} drift checks planned")
-        with self._explained("a drift check could not be written"):
-            for path, value in values.items():
-                self._master.write_row(path, row, value)
-            self._master.write_row(schema.DRIFT_CRC32, row, schema.checksum(values.values()))
-            self._master.write(schema.N_DRIFT_CHECKS, row + 1)
-            if self._master.is_published:
-                self._master.sync()
-        self._n_checks = row + 1
+        self._drift.commit(check)
 
     def commit(self, shot: ShotRecord, replaces: bool = False) -> None:
         """Store one shot; when this returns, a kill does not lose it.
@@ -257,9 +228,9 @@ class DatasetWriter:
             shot = replace(shot, session=self._session.number)
         values = values_of(self.path, shot)
         values[schema.SUPERSEDES] = np.array(
-            self._row_of.get(shot.shot_id, schema.NO_ROW), schema.SUPERSEDES_COLUMN.dtype
+            self._row_of.get(shot.shot_id, schema.NO_ROW), columns.SUPERSEDES_COLUMN.dtype
         )
-        with self._explained(
+        with self._master.explaining(
             f"shot {shot.shot_id} could not be written",
             f"; the {self.n_committed} shots before it are safe",
         ):
@@ -279,10 +250,9 @@ class DatasetWriter:
             allowed = ", ".join(get_args(schema.FinalStatus))
             raise DatasetError(f"{self.path}: status '{status}' is not one of {allowed}")
         try:
-            if self._n_rows:
-                self._write_ending(status, reason)
-        except _WRITE_ERRORS as error:
-            raise DatasetError(f"{self.path}: could not be finished: {error}") from error
+            with self._master.explaining("could not be finished"):
+                if self._n_rows:
+                    self._write_ending(status, reason)
         finally:
             self._close()
 
@@ -336,9 +306,9 @@ class DatasetWriter:
         if is_sync_due:
             images.sync()
         checksums = {
-            schema.IMAGE_CRC32: schema.checksum([image]),
-            schema.MASK_CRC32: schema.checksum([mask]),
-            schema.VALUES_CRC32: schema.checksum(values[path] for path in schema.VALUES_ORDER),
+            schema.IMAGE_CRC32: columns.checksum([image]),
+            schema.MASK_CRC32: columns.checksum([mask]),
+            schema.VALUES_CRC32: columns.checksum(values[path] for path in columns.VALUES_ORDER),
         }
         for path, value in {**values, **checksums}.items():
             self._master.write_row(path, row, value)
@@ -372,13 +342,6 @@ class DatasetWriter:
             self._master.sync()
         else:
             self._master.publish()
-
-    @contextmanager
-    def _explained(self, what: str, more: str = "") -> Generator[None]:
-        try:
-            yield
-        except _WRITE_ERRORS as error:
-            raise DatasetError(f"{self.path}: {what}: {error}{more}") from error
 
     def _close(self) -> None:
         if self._images is not None:

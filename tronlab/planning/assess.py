@@ -1,6 +1,6 @@
 """Everything that can be known of a plan before the robot moves, shot by shot."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -19,9 +19,9 @@ from tronlab.planning.passage import check_clearance_along
 from tronlab.planning.reach import Reach, check_reach_along
 from tronlab.planning.shots import Plan, Shot
 
-MAX_TRIES = 600
-_TRIES_A_SHOT = (8, 60)
-"""Least and most; many refused shots share what there is, but each gets the least."""
+MAX_TRIES = 400
+_TRIES_A_SHOT = (10, 60)
+"""Least and most: where there are many refused shots, the last ones get none."""
 
 _SAME_RAD = 1e-6
 """Axes that differ by no more than rounding stand alike."""
@@ -46,7 +46,7 @@ def assess(
     Args:
         plan: Shots in the order they would be taken.
         context: What it is held against.
-        max_tries: About how many poses may be tried instead of refused ones; 0: none.
+        max_tries: How many poses may be tried instead of refused ones; 0: none.
         on_shot: Told (shots examined, shots in all) after each.
     """
     examiner = Examiner(context)
@@ -60,7 +60,7 @@ def assess(
             on_shot(n_done, len(plan.shots))
     taken = _check_ways(plan.shots, exams, examiner)
     moves_s = _moves_s(taken, exams, context.motion)
-    alternatives = _alternatives(plan.shots, exams, examiner, max_tries=max_tries)
+    alternatives = _alternatives(plan.shots, taken, exams, examiner, max_tries=max_tries)
     timing, pace = context.timing, context.cell.pace
 
     def assessed(shot: Shot) -> ShotAssessment:
@@ -146,23 +146,50 @@ def _moves_s(
 
 
 def _alternatives(
-    shots: Sequence[Shot], exams: Mapping[int, Exam], examiner: Examiner, *, max_tries: int
+    shots: Sequence[Shot],
+    taken: Sequence[Shot],
+    exams: Mapping[int, Exam],
+    examiner: Examiner,
+    *,
+    max_tries: int,
 ) -> dict[int, RigidTransform]:
-    """Look for a pose near each refused shot that can be taken; none without a motion model."""
-    refused = [shot for shot in shots if exams[shot.shot_id].is_refused]
-    if not refused or not max_tries or examiner.context.motion is None:
+    """Look for a pose near each refused shot that could be taken in its place.
+
+    None without a motion model, and none any more when all tries are used up.
+    """
+    motion = examiner.context.motion
+    n_refused = len(shots) - len(taken)
+    if not n_refused or motion is None:
         return {}
-    tries_a_shot = int(np.clip(max_tries // len(refused), *_TRIES_A_SHOT))
-    accepted = [shot.trs_from_cam_nominal for shot in shots if not exams[shot.shot_id].is_refused]
+    tries_a_shot = int(np.clip(max_tries // n_refused, *_TRIES_A_SHOT))
+    poses = [shot.trs_from_cam_nominal for shot in taken]
     found: dict[int, RigidTransform] = {}
-    for shot in refused:
-        near = exams[shot.shot_id].reach.posture
+    for shot, before, after in _refused_between(shots, taken):
+        if max_tries < tries_a_shot:
+            break
+        max_tries -= tries_a_shot
+        passes = partial(
+            examiner.can_be_taken,
+            motion=motion,
+            before=None if before is None else exams[before.shot_id].reach.posture,
+            after=None if after is None else after.robot_target,
+        )
         nearest = nearest_feasible(
-            shot.trs_from_cam_nominal,
-            [*accepted, *found.values()],
-            partial(examiner.can_be_taken, near=near),
-            max_tries=tries_a_shot,
+            shot.trs_from_cam_nominal, [*poses, *found.values()], passes, max_tries=tries_a_shot
         )
         if nearest is not None:
             found[shot.shot_id] = nearest
     return found
+
+
+def _refused_between(
+    shots: Sequence[Shot], taken: Sequence[Shot]
+) -> Iterator[tuple[Shot, Shot | None, Shot | None]]:
+    """Give each refused shot with the shots that will be taken before and after it."""
+    n_taken = 0
+    for shot in shots:
+        after = taken[n_taken] if n_taken < len(taken) else None
+        if shot is after:
+            n_taken += 1
+        else:
+            yield shot, (taken[n_taken - 1] if n_taken else None), after

@@ -85,7 +85,8 @@ class ShotAssessment:
     duration: ShotDuration
     """All 0 for a shot that is refused: it will not be taken."""
     nearest: RigidTransform | None = None
-    """``trs_from_cam`` of the nearest pose found that can be taken, if this one cannot."""
+    """``trs_from_cam`` of the nearest pose known that could be taken instead, if this one cannot:
+    itself checked, with the ways to and from it. None: none was found, or none looked for."""
 
     @property
     def is_refused(self) -> bool:

@@ -20,7 +20,7 @@ from tronlab.kinematics.kr16_shape import (
     LINK_RADII_M,
     arm_shape,
 )
-from tronlab.planning.distances import Boxes, segment_to_box_m, segment_to_segment_m
+from tronlab.planning.distances import Boxes
 from tronlab.planning.terrain_clearance import TerrainClearance
 from tronlab.terrain.heightmap import HeightMap
 
@@ -138,68 +138,23 @@ class Bodies:
         )
 
 
-def arm_capsules_trs(posture: Posture, scene: Scene) -> tuple[Capsule, ...]:
-    """Give the links of the arm, from the base to the flange."""
+def solids_at(posture: Posture, scene: Scene) -> tuple[Solid, ...]:
+    """Give the robot's bodies that may stand in the way of light: arm, plate and foot.
+
+    The arm's links come first, from the base to the flange.
+    """
     bodies = Bodies.at(*stacked([posture]), scene)
-    return tuple(
+    arm = (
         Capsule(name, ends[0], ends[1], float(radius_m))
         for name, ends, radius_m in zip(LINK_NAMES, bodies.ends_m[0], LINK_RADII_M, strict=True)
     )
-
-
-def plate_corners_trs(posture: Posture, scene: Scene) -> FloatArray:
-    """Give the corners of the plate with all upon it, shape (8, 3); ``distances.EDGES`` of it."""
-    return _first(Bodies.at(*stacked([posture]), scene).plate).corners_m
-
-
-def solids_at(posture: Posture, scene: Scene) -> tuple[Solid, ...]:
-    """Give all bodies that may stand in the way of light: arm, plate, foot and obstacles."""
-    bodies = Bodies.at(*stacked([posture]), scene)
-    return (
-        *arm_capsules_trs(posture, scene),
-        Box(PLATE, _first(bodies.plate)),
-        Box(FOOT, _first(bodies.foot)),
-        *scene.obstacles,
-    )
-
-
-def segment_clearances_m(
-    p0_trs_m: FloatArray, p1_trs_m: FloatArray, solids: Sequence[Solid]
-) -> FloatArray:
-    """Give the distance of line segments, ends of shape (m, 3), from each solid.
-
-    Returns:
-        Shape (m, solids); negative: the segment meets the solid.
-    """
-    return np.stack([_from_solid_m(p0_trs_m, p1_trs_m, solid) for solid in solids], axis=-1)
-
-
-def segment_clearance(
-    p0_trs_m: FloatArray, p1_trs_m: FloatArray, solids: Sequence[Solid], *, name: str
-) -> Clearance:
-    """Give the least distance of a line segment from solids.
-
-    Args:
-        p0_trs_m: One end, shape (3,).
-        p1_trs_m: The other end, shape (3,).
-        solids: At least one.
-        name: What the segment is.
-    """
-    distances_m = segment_clearances_m(p0_trs_m[np.newaxis], p1_trs_m[np.newaxis], solids)[0]
-    nearest = int(distances_m.argmin())
-    return Clearance(float(distances_m[nearest]), (name, solids[nearest].name))
+    return (*arm, Box(PLATE, _first(bodies.plate)), Box(FOOT, _first(bodies.foot)))
 
 
 def stacked(postures: Sequence[Posture]) -> tuple[FloatArray, FloatArray]:
     """Give rails, shape (n,), and axes, shape (n, 6), of postures."""
     rail_m = np.array([posture.rail_m for posture in postures])
     return rail_m, np.stack([posture.axes_rad for posture in postures])
-
-
-def _from_solid_m(p0_m: FloatArray, p1_m: FloatArray, solid: Solid) -> FloatArray:
-    if isinstance(solid, Box):
-        return segment_to_box_m(p0_m, p1_m, solid.boxes)
-    return segment_to_segment_m(p0_m, p1_m, solid.p0_trs_m, solid.p1_trs_m) - solid.radius_m
 
 
 def _first(boxes: Boxes) -> Boxes:

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 from scipy.spatial.transform import RigidTransform
 
-from tronlab.devices.readings import Posture
+from tronlab.devices.protocols import MotionModel
+from tronlab.devices.readings import Posture, RobotTarget
 from tronlab.errors import LimitError
 from tronlab.geometry.poses import FloatArray
 from tronlab.planning.assessment import Finding
@@ -64,22 +65,37 @@ class Examiner:
             others=(*in_sight, *in_view, *in_light),
         )
 
-    def can_be_taken(self, trs_from_cam: RigidTransform, *, near: Posture | None) -> bool:
-        """Tell whether a pose passes all checks but that of the way there."""
-        context, posture = self.context, None
+    def can_be_taken(
+        self,
+        trs_from_cam: RigidTransform,
+        motion: MotionModel,
+        *,
+        before: Posture | None,
+        after: RobotTarget | None,
+    ) -> bool:
+        """Tell whether a pose passes all checks.
+
+        Args:
+            trs_from_cam: The pose.
+            motion: How the robot moves.
+            before: How it stands at the shot before; None: this would be the first one.
+            after: Where it goes next; None: this would be the last one.
+        """
         if _any_refusal(self._view(trs_from_cam)[1]):
             return False
-        if context.motion is not None:
-            target = context.mounting.robot_target(trs_from_cam)
-            try:
-                posture = context.motion.posture_for(target, near=near)
-            except LimitError:
-                return False
-        solids = self._solids(posture)
+        target = self.context.mounting.robot_target(trs_from_cam)
+        try:
+            posture = motion.posture_for(target, near=before)
+            behind = None if after is None else motion.posture_for(after, near=posture)
+        except LimitError:
+            return False
+        solids, scene = self._solids(posture), self.context.scene
+        way = [p for p in (before, posture, behind) if p is not None]
         return not (
             _any_refusal(self._sight(trs_from_cam, solids)[1])
-            or _any_refusal(check_postures([posture], context.scene)[0].findings)
+            or _any_refusal(check_postures([posture], scene)[0].findings)
             or _any_refusal(self._light(trs_from_cam, solids)[1])
+            or any(_any_refusal(check.findings) for check in check_clearance_along(way, scene))
         )
 
     def _solids(self, posture: Posture | None) -> tuple[Solid, ...]:
@@ -101,7 +117,8 @@ class Examiner:
         beam = context.p_tracker_trs_m, p_tmac_trs_m
         if terrain_in_beam(*beam, beam_radius_m=radius_m, range_finder=context.renderer):
             return MODEL
-        return bar_in_beam(*beam, solids, beam_radius_m=radius_m)
+        bars = (*solids, *context.scene.obstacles)
+        return bar_in_beam(*beam, bars, beam_radius_m=radius_m)
 
     def _view(self, trs_from_cam: RigidTransform) -> tuple[View, list[Finding]]:
         context = self.context
@@ -121,13 +138,12 @@ class Examiner:
         self, trs_from_cam: RigidTransform, solids: Sequence[Solid]
     ) -> tuple[Light, list[Finding]]:
         context = self.context
-        obstacles = context.cell.envelope.obstacles
         light = light_on_view(
             trs_from_cam,
             renderer=context.renderer,
             camera=context.camera,
             p_lamp_trs_m=context.p_lamp_trs_m,
-            robot=[solid for solid in solids if solid.name not in obstacles],
+            robot=solids,
         )
         return light, light_findings(
             light,

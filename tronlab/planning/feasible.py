@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from tronlab.geometry.poses import FloatArray, rotation_angle_rad
+from tronlab.geometry.poses import FloatArray
 
 LEVER_M = 1.0
 """A turn counts as the way a point so far from the camera goes: 1 deg is as near as 17 mm."""
@@ -22,8 +22,7 @@ Passes = Callable[[RigidTransform], bool]
 
 def gap_m(a: RigidTransform, b: RigidTransform) -> float:
     """Give how far two poses are apart: the shift, and the turn at ``LEVER_M``."""
-    shift_m = float(np.linalg.norm(b.translation - a.translation))
-    return shift_m + LEVER_M * rotation_angle_rad(a, b)
+    return float(_gaps_m(a, b))
 
 
 def nearest_feasible(
@@ -40,7 +39,7 @@ def nearest_feasible(
 
     Args:
         refused: ``trs_from_cam`` that does not pass.
-        accepted: Poses that do.
+        accepted: Poses that may pass, for they do elsewhere in the plan.
         passes: Whether a pose can be taken.
         max_tries: How often ``passes`` may be asked.
 
@@ -48,8 +47,9 @@ def nearest_feasible(
         ``trs_from_cam``; None if none was found.
     """
     search = _Search(refused, passes, max_tries)
-    for anchor in sorted(accepted, key=lambda pose: gap_m(refused, pose))[:_N_ANCHORS]:
-        search.approach(anchor)
+    for anchor in _nearest_of(accepted, refused):
+        if search.ask(anchor):
+            search.approach(anchor)
     for pose in _around(refused):
         if search.is_nearer(pose) and search.ask(pose):
             search.approach(pose)
@@ -87,6 +87,21 @@ class _Search:
         found = feasible if far == 1.0 else _between(self._refused, feasible, far)
         if self.is_nearer(found):
             self.best, self._best_gap_m = found, gap_m(self._refused, found)
+
+
+def _nearest_of(poses: Sequence[RigidTransform], pose: RigidTransform) -> list[RigidTransform]:
+    """Give the few nearest of poses, nearest first."""
+    if not poses:
+        return []
+    gaps_m = _gaps_m(pose, RigidTransform.concatenate(list(poses)))
+    return [poses[i] for i in np.argsort(gaps_m, kind="stable")[:_N_ANCHORS]]
+
+
+def _gaps_m(pose: RigidTransform, others: RigidTransform) -> FloatArray:
+    """Give how far one or a stack of poses is from a pose."""
+    shift_m = np.linalg.norm(others.translation - pose.translation, axis=-1)
+    turn_rad = np.asarray((pose.rotation.inv() * others.rotation).magnitude(), dtype=np.float64)
+    return shift_m + LEVER_M * turn_rad
 
 
 def _around(pose: RigidTransform) -> Iterator[RigidTransform]:

@@ -13,7 +13,7 @@ from tronlab.planning.barriers import are_barred
 from tronlab.planning.collision import Solid
 from tronlab.render.renderer import Lamp, Renderer
 
-LIGHT_WIDTH_PX = 96
+LIGHT_WIDTH_PX = 64
 """The light is sampled at so many places in a row of the image."""
 
 

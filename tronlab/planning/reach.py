@@ -47,8 +47,8 @@ def check_reach_along(
     if not isinstance(robot, MotionModel):
         unknown = Finding(
             "reach",
-            f"robot '{robot.name}' cannot be asked without a connection: reach and clearance of"
-            " this plan are unchecked; the run asks before anything moves",
+            f"robot '{robot.name}' cannot be asked without a connection: reach, clearance and"
+            " duration of its moves are unknown; the run asks it about reach before anything moves",
             is_refusal=False,
         )
         return tuple(Reach(None, () if i else (unknown,)) for i in range(len(shots)))

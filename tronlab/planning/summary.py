@@ -55,7 +55,10 @@ def full_summary(assessment: PlanAssessment, *, begun: datetime) -> str:
         [f"plan: {count_line(assessment)}"],
         list(_check_rows(assessment)),
         [*_time_rows(assessment), end_line(assessment, begun=begun)],
-        [*_warned_rows(assessment), *_refused_rows(assessment, most=N_LISTED)],
+        [
+            *_warned_rows(assessment),
+            *_refused_rows(assessment, most=N_LISTED, names_nearest=True),
+        ],
     ]
     return "\n\n".join("\n".join(block) for block in blocks if block)
 
@@ -65,7 +68,8 @@ def brief_summary(assessment: PlanAssessment, *, begun: datetime) -> str:
     return "\n".join(
         [
             f"plan: {count_line(assessment)}",
-            *_refused_rows(assessment, most=_N_BRIEF),
+            *_warned_rows(assessment),
+            *_refused_rows(assessment, most=_N_BRIEF, names_nearest=False),
             end_line(assessment, begun=begun),
         ]
     )
@@ -108,8 +112,10 @@ def count_line(assessment: PlanAssessment) -> str:
 
 def end_line(assessment: PlanAssessment, *, begun: datetime) -> str:
     """Say how long the run takes, and when it would be done."""
-    done = begun + timedelta(seconds=assessment.total_s)
     n_left = len(assessment.shots) - len(assessment.refused)
+    if not n_left:
+        return "estimated time: none, no shot can be taken"
+    done = begun + timedelta(seconds=assessment.total_s)
     of_shots = f" of the {n_left} shots that can be taken" if assessment.refused else ""
     day = "" if done.date() == begun.date() else f"{done:%a %d %b} "
     return (
@@ -139,9 +145,9 @@ def counts_by_check(assessment: PlanAssessment) -> dict[CheckName, tuple[int, in
 
 
 def nearest_text(shot: ShotAssessment) -> str:
-    """Say where the nearest pose that can be taken is, and how far; empty if none is known."""
+    """Say where the nearest pose that can be taken is, and how far."""
     if shot.nearest is None:
-        return ""
+        return "none known"
     wanted = shot.shot.trs_from_cam_nominal
     shift_mm = 1e3 * float(np.linalg.norm(shot.nearest.translation - wanted.translation))
     turn_deg = float(np.degrees(rotation_angle_rad(wanted, shot.nearest)))
@@ -180,11 +186,12 @@ def _warned_rows(assessment: PlanAssessment) -> Iterator[str]:
             yield f"warned: {texts[0]}{more}"
 
 
-def _refused_rows(assessment: PlanAssessment, *, most: int) -> Iterator[str]:
+def _refused_rows(assessment: PlanAssessment, *, most: int, names_nearest: bool) -> Iterator[str]:
     refused = assessment.refused
     for shot in refused[:most]:
         reasons = [finding.text for finding in shot.findings if finding.is_refusal]
         yield f"refused: shot {shot.shot.shot_id}: {'; '.join(reasons)}"
-        yield f"  nearest pose that can be taken: {nearest_text(shot) or 'none found'}"
+        if names_nearest:
+            yield f"  nearest pose that can be taken: {nearest_text(shot)}"
     if len(refused) > most:
         yield f"refused: {len(refused) - most} more shots"

@@ -80,11 +80,9 @@ def _drawn(shots: Sequence[ShotAssessment]) -> list[ShotAssessment]:
 def _robot(stage: Stage, shot: ShotAssessment) -> list[Faces]:
     if shot.posture is None:
         return []
-    obstacles = {obstacle.name for obstacle in stage.context.scene.obstacles}
     return [
         faces
         for solid in solids_at(shot.posture, stage.context.scene)
-        if solid.name not in obstacles
         for faces in _robot_part(solid)
     ]
 

@@ -59,7 +59,7 @@ def refused_table(refused: Sequence[ShotAssessment]) -> Table:
             (
                 shot.shot.shot_id,
                 "; ".join(finding.text for finding in shot.findings if finding.is_refusal),
-                nearest_text(shot) or "none found",
+                nearest_text(shot),
             )
             for shot in refused
         ),

@@ -17,6 +17,7 @@ from ruamel.yaml.error import YAMLError
 
 from tronlab.dataset.drift import doubts
 from tronlab.dataset.reader import Dataset
+from tronlab.dataset.schema import TRUTH
 from tronlab.errors import ScoreError, TronlabError
 from tronlab.nav.cores import BUILT_IN_CORES, known_cores
 from tronlab.score.results import (
@@ -127,7 +128,7 @@ def _job(
             for doubt in doubts(dataset.shot_ids.tolist(), dataset.truth_states):
                 say(f"{dataset_path}: {doubt}; scored and flagged like that")
         names = tuple(dict.fromkeys(cores or campaign_cores(dataset.provenance.campaign_yaml)))
-        ranges_m = [truth.range_los_m for truth in dataset.truths()]
+        ranges_m = dataset.rows(f"{TRUTH}/range_los_m").tolist()
         range_los_m = dict(zip(dataset.shot_ids.tolist(), ranges_m, strict=True))
     _check_names(names)
     return _Job(dataset_path, names, range_los_m, _folder(out_dir, dataset_path), n_workers)

@@ -215,6 +215,7 @@ def test_a_run_that_waits_can_be_paused_and_waits_on(
         "suspend:",
         "pause:",
         "Resume()",
+        "suspend:",
         "resume",
     ]
     assert "waiting before shot 1: room: the door is open" in str(person.asked[0])

@@ -6,7 +6,7 @@ import h5py
 import numpy as np
 import pytest
 
-from tronlab.dataset import schema
+from tronlab.dataset import columns, schema
 from tronlab.dataset.migrate import migrate
 from tronlab.dataset.reader import Dataset
 from tronlab.dataset.validate import Examination, examine
@@ -26,19 +26,19 @@ def as_of_layout_1(path: Path, *, minor: int) -> Path:
         if minor < 2:
             del file[schema.DRIFT]
         else:
-            names = [c.path for c in schema.DRIFT_COLUMNS if c.path in file]
+            names = [c.path for c in columns.DRIFT_COLUMNS if c.path in file]
             sign(file, schema.DRIFT_CRC32, names)
-        sign(file, schema.VALUES_CRC32, [c.path for c in schema.COLUMNS if c.path in file])
+        sign(file, schema.VALUES_CRC32, [c.path for c in columns.COLUMNS if c.path in file])
         file.attrs[schema.SCHEMA_ATTRIBUTE] = f"1.{minor}"
     return path
 
 
-def sign(file: h5py.File, crc32: str, columns: list[str]) -> None:
-    rows = [file[name][()] for name in columns]
+def sign(file: h5py.File, crc32: str, paths: list[str]) -> None:
+    rows = [file[path][()] for path in paths]
     file[crc32][...] = [
-        schema.checksum(row[i : i + 1] for row in rows) for i in range(len(file[crc32]))
+        columns.checksum(row[i : i + 1] for row in rows) for i in range(len(file[crc32]))
     ]
-    file[crc32].attrs["order"] = columns
+    file[crc32].attrs["order"] = paths
 
 
 @pytest.mark.parametrize("minor", [0, 2])
@@ -59,7 +59,7 @@ def test_an_older_dataset_is_the_same_in_the_layout_of_today(
         assert new.n_references == 2
         for i in range(5):
             ours, theirs = new.shot(i), old.shot(i)
-            for column in schema.COLUMNS:
+            for column in columns.COLUMNS:
                 np.testing.assert_array_equal(column.value_of(ours), column.value_of(theirs))
             np.testing.assert_array_equal(ours.frame.image, theirs.frame.image)
             np.testing.assert_array_equal(ours.mask, theirs.mask)

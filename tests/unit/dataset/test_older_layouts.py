@@ -8,9 +8,9 @@ import h5py
 import numpy as np
 import pytest
 
+from tronlab.dataset.columns import checksum
 from tronlab.dataset.reader import Dataset
 from tronlab.dataset.records import DriftRecord, Provenance, ShotRecord
-from tronlab.dataset.schema import checksum
 from tronlab.geometry.poses import xyz_quat_from_pose
 
 Row = dict[str, Any]

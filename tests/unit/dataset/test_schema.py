@@ -6,7 +6,7 @@ import h5py
 import numpy as np
 import pytest
 
-from tronlab.dataset import schema
+from tronlab.dataset import columns, schema
 
 PAGE = (Path(__file__).parents[3] / "docs/reference/dataset.md").read_text(encoding="utf-8")
 
@@ -79,19 +79,19 @@ def test_the_file_is_of_the_oldest_format_that_reopens_after_a_kill(small_datase
 
 def test_the_checksum_depends_on_every_value_and_their_order() -> None:
     a, b = np.arange(3.0), np.arange(4, dtype=np.int64)
-    values = {schema.checksum(v) for v in ([a, b], [b, a], [a], [a, b + 1], [a + 1e-16, b])}
+    values = {columns.checksum(v) for v in ([a, b], [b, a], [a], [a, b + 1], [a + 1e-16, b])}
     assert len(values) == 5
-    assert schema.checksum([a, b]) == schema.checksum([a.copy(), b.copy()])
+    assert columns.checksum([a, b]) == columns.checksum([a.copy(), b.copy()])
 
 
 def test_the_page_has_every_path_with_its_class_and_no_other(small_dataset: Path) -> None:
     written = set(re.findall(r"^\| `(entry[^`]*)`", PAGE, flags=re.MULTILINE))
-    columns = {column.path for column in (*schema.ROW_COLUMNS, *schema.DRIFT_COLUMNS)}
+    of_rows = {column.path for column in (*columns.ROW_COLUMNS, *columns.DRIFT_COLUMNS)}
     checksums = {schema.REFERENCES_CRC32, schema.DRIFT_CRC32}
     others = {schema.IMAGE, schema.MASK, schema.N_COMMITTED, schema.N_DRIFT_CHECKS} | checksums
     others |= {schema.UUID, schema.JOURNAL}
     groups = {**schema.GROUPS, **schema.OPTIONAL_GROUPS}
-    assert written == columns | others | set(groups)
+    assert written == of_rows | others | set(groups)
     for path, nx_class in groups.items():
         assert f"`{path}` ({nx_class})" in PAGE
 

@@ -90,52 +90,52 @@ def test_an_unknown_status_is_refused(writer: DatasetWriter) -> None:
         writer.finish("done")  # pyright: ignore[reportArgumentType]
 
 
-@pytest.mark.parametrize(
-    ("spoil", "message"),
-    [
-        (lambda s: replace(s, shot_id=0), "shot 0 is already committed"),
-        (
-            lambda s: replace(s, frame=replace(s.frame, image=s.frame.image[:-1])),
-            r"image: shape is \(47, 64\), the camera's images have \(48, 64\)",
-        ),
-        (
-            lambda s: replace(s, frame=replace(s.frame, image=s.frame.image.astype(np.uint16))),
-            "image: type is uint16, expected uint8",
-        ),
-        (lambda s: replace(s, mask=s.mask[:, :-1]), r"mask: shape is \(48, 63\)"),
-        (lambda s: replace(s, mask=s.mask.astype(np.uint8)), "mask: type is uint8, expected bool"),
-        (
-            lambda s: replace(s, truth=replace(s.truth, range_los_m=float("nan"))),
-            "shot 1: truth/range_los_m: is not finite: nan",
-        ),
-        (
-            lambda s: replace(s, truth=replace(s.truth, covariance=np.full((6, 6), np.inf))),
-            "truth/trs_from_cam_covariance: is not finite",
-        ),
-        (
-            lambda s: replace(s, frame=replace(s.frame, device_time_s=float("inf"))),
-            "camera/device_time_s: is not finite: inf",
-        ),
-        (
-            lambda s: replace(s, tracker=replace(s.tracker, covariance=np.eye(3))),
-            r"trk_from_tmac_covariance: shape is \(3, 3\), expected \(6, 6\)",
-        ),
-        (
-            lambda s: replace(s, frame=replace(s.frame, pixel_format="BayerRG12PackedTight")),
-            "pixel_format: .* is longer than 16 bytes",
-        ),
-        (
-            lambda s: replace(s, frame=replace(s.frame, frame_id=2**70)),
-            "camera/frame_id: 1180591620717411303424",
-        ),
-    ],
-)
+SPOILT: list[tuple[Callable[[ShotRecord], Any], str]] = [
+    (lambda s: replace(s, shot_id=0), "shot 0 is already committed"),
+    (
+        lambda s: replace(s, frame=replace(s.frame, image=s.frame.image[:-1])),
+        r"image: shape is \(47, 64\), the camera's images have \(48, 64\)",
+    ),
+    (
+        lambda s: replace(s, frame=replace(s.frame, image=s.frame.image.astype(np.uint16))),
+        "image: type is uint16, expected uint8",
+    ),
+    (lambda s: replace(s, mask=s.mask[:, :-1]), r"mask: shape is \(48, 63\)"),
+    (lambda s: replace(s, mask=s.mask.astype(np.uint8)), "mask: type is uint8, expected bool"),
+    (
+        lambda s: replace(s, truth=replace(s.truth, range_los_m=float("nan"))),
+        "shot 1: truth/range_los_m: is not finite: nan",
+    ),
+    (
+        lambda s: replace(s, truth=replace(s.truth, covariance=np.full((6, 6), np.inf))),
+        "truth/trs_from_cam_covariance: is not finite",
+    ),
+    (
+        lambda s: replace(s, frame=replace(s.frame, device_time_s=float("inf"))),
+        "camera/device_time_s: is not finite: inf",
+    ),
+    (
+        lambda s: replace(s, tracker=replace(s.tracker, covariance=np.eye(3))),
+        r"trk_from_tmac_covariance: shape is \(3, 3\), expected \(6, 6\)",
+    ),
+    (
+        lambda s: replace(s, frame=replace(s.frame, pixel_format="BayerRG12PackedTight")),
+        "pixel_format: .* is longer than 16 bytes",
+    ),
+    (
+        lambda s: replace(s, frame=replace(s.frame, frame_id=2**70)),
+        "camera/frame_id: 1180591620717411303424",
+    ),
+]
+
+
 def test_a_shot_that_contradicts_the_dataset_is_refused_and_harms_nothing(
-    writer: DatasetWriter, make_shot: MakeShot, spoil: Callable[[ShotRecord], Any], message: str
+    writer: DatasetWriter, make_shot: MakeShot
 ) -> None:
     writer.commit(make_shot(0))
-    with pytest.raises(DatasetError, match=message):
-        writer.commit(spoil(make_shot(1)))
+    for spoil, message in SPOILT:
+        with pytest.raises(DatasetError, match=message):
+            writer.commit(spoil(make_shot(1)))
     writer.commit(make_shot(2))
     writer.finish("aborted")
     assert committed_ids(writer.path) == [0, 2]
@@ -157,22 +157,17 @@ def test_more_shots_than_planned_are_refused(writer: DatasetWriter, make_shot: M
     assert validate(writer.path) == []
 
 
-@pytest.mark.parametrize(
-    ("spoil", "message"),
-    [
-        (lambda v: replace(v, image=v.image[1:]), "reference view 1: image: shape"),
-        (lambda v: replace(v, depth_m=v.depth_m.astype(float)), "depth_m: type is float64"),
-        (lambda v: replace(v, mask=v.mask.T), "mask: shape"),
-    ],
-)
 def test_a_reference_view_that_does_not_fit_is_refused(
-    writer: DatasetWriter,
-    make_view: MakeView,
-    spoil: Callable[[ReferenceView], Any],
-    message: str,
+    writer: DatasetWriter, make_view: MakeView
 ) -> None:
-    with pytest.raises(DatasetError, match=message):
-        writer.add_references([make_view(0), spoil(make_view(1))])
+    view = make_view(1)
+    for spoilt, message in (
+        (replace(view, image=view.image[1:]), "reference view 1: image: shape"),
+        (replace(view, depth_m=view.depth_m.astype(float)), "depth_m: type is float64"),  # pyright: ignore
+        (replace(view, mask=view.mask.T), "mask: shape"),
+    ):
+        with pytest.raises(DatasetError, match=message):
+            writer.add_references([make_view(0), spoilt])
     writer.add_references([make_view(0)])
 
 

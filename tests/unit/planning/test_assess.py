@@ -20,6 +20,7 @@ from tronlab.planning.assessment import Finding, PlanAssessment
 from tronlab.planning.collision import Clearance, Scene
 from tronlab.planning.context import PlanContext, Rules
 from tronlab.planning.duration import Timing
+from tronlab.planning.examination import Examiner
 from tronlab.planning.passage import ClearanceCheck, check_clearance_along
 from tronlab.planning.shots import make_plan
 from tronlab.render.heightfield import HeightfieldRenderer
@@ -100,6 +101,10 @@ def facing(*heights_m: float, x_m: float = 1.08, boresight=(0.0, 0.0, -1.0)) -> 
         pose_along_boresight((x_m, 2.08, z), boresight=boresight, right=(0.0, 1.0, 0.0))
         for z in heights_m
     ]
+
+
+def facing_at(y_m: float, z_m: float) -> RigidTransform:
+    return pose_along_boresight((1.08, y_m, z_m), boresight=(0.0, 0.0, -1.0), right=(0.0, 1.0, 0.0))
 
 
 def assessed(
@@ -196,12 +201,46 @@ def test_the_pose_proposed_instead_can_be_taken():
     assert proposed[0].translation[2] == pytest.approx(2.65, abs=0.15)
 
 
+def test_the_pose_proposed_for_a_barred_way_is_off_that_way():
+    """A post stands between the first two shots: each is free, the way from one to the next not."""
+    where = context(cell=box((0.5, 2.0, 2.0), (2.2, 2.16, 2.1)))
+    left, right, far = (facing_at(y_m, z_m) for y_m, z_m in ((1.4, 2.0), (2.76, 2.0), (1.4, 2.6)))
+    result = assessed([left, right, far], where, max_tries=20)
+    assert refusals(result) == [set(), {"collision"}, set()]
+    assert "on the way there" in result.shots[1].findings[0].text
+    proposed = result.shots[1].nearest
+    assert proposed is not None
+    assert refusals(assessed([left, proposed, far], where)) == [set()] * 3
+
+
+def test_tries_are_not_more_than_asked_for(monkeypatch):
+    asked: list[RigidTransform] = []
+    monkeypatch.setattr(Examiner, "can_be_taken", lambda _, pose, **_ways: bool(asked.append(pose)))
+    result = assessed(
+        facing(*np.linspace(1.0, 3.0, 7)), context(min_lit_fraction=1.1), max_tries=35
+    )
+    assert [shot.nearest for shot in result.shots] == [None] * 7
+    assert len(asked) == 30, "three shots with ten tries each, none for the others"
+
+
+def test_an_obstacle_may_have_the_name_of_a_part_of_the_robot():
+    where = replace(context(), p_lamp_trs_m=np.array([1.4, 2.08, 6.0]))
+    (alone,) = assessed(facing(2.0), where).shots
+    spec = BoxSpec(low_trs_m=(-3.0, -3.0, 0.0), high_trs_m=(-2.9, -2.9, 0.1))
+    envelope = EnvelopeSpec.model_validate({"obstacles": {"forearm": spec, "plate": spec}})
+    cell = CellSpec(sight=TMAC_TO_TRACKER, envelope=envelope)
+    (beside,) = assessed(
+        facing(2.0), replace(context(cell=cell), p_lamp_trs_m=where.p_lamp_trs_m)
+    ).shots
+    assert beside.robot_shadow == alone.robot_shadow > 0.02
+
+
 def test_without_a_motion_model_the_rest_is_checked():
     result = assessed(facing(3.0, 4.95), context(robot=Mute(), range_los_m=(0.3, 4.0)))
     assert [[finding.text for finding in shot.findings] for shot in result.shots] == [
         [
-            "robot 'mute' cannot be asked without a connection: reach and clearance of this plan"
-            " are unchecked; the run asks before anything moves"
+            "robot 'mute' cannot be asked without a connection: reach, clearance and duration of"
+            " its moves are unknown; the run asks it about reach before anything moves"
         ],
         [
             "range is 4.950 m, allowed 0.3 to 4 m",

@@ -14,17 +14,7 @@ from tronlab.devices.cell import BoxSpec, EnvelopeSpec
 from tronlab.devices.mounting import Mounting
 from tronlab.devices.readings import Posture
 from tronlab.planning.clearance import clearance, distances_at
-from tronlab.planning.collision import (
-    Box,
-    Capsule,
-    Scene,
-    arm_capsules_trs,
-    plate_corners_trs,
-    segment_clearance,
-    segment_clearances_m,
-    solids_at,
-    stacked,
-)
+from tronlab.planning.collision import PLATE, Box, Capsule, Scene, solids_at, stacked
 from tronlab.planning.passage import check_clearance_along, passage_clearances
 from tronlab.planning.terrain_clearance import TerrainClearance
 from tronlab.terrain.heightmap import HeightMap
@@ -91,8 +81,13 @@ def capsule_surface(capsule: Capsule, n: int = 16) -> np.ndarray:
 def surfaces(at: Posture, scene: Scene) -> dict[str, np.ndarray]:
     return {
         solid.name: capsule_surface(solid) if isinstance(solid, Capsule) else box_surface(solid)
-        for solid in solids_at(at, scene)
+        for solid in (*solids_at(at, scene), *scene.obstacles)
     }
+
+
+def plate_corners_trs_m(at: Posture) -> np.ndarray:
+    (plate,) = (s for s in solids_at(at, OPEN) if isinstance(s, Box) and s.name == PLATE)
+    return plate.corners_trs_m
 
 
 def random_posture(rng: np.random.Generator) -> Posture:
@@ -127,11 +122,11 @@ def test_clearance_is_the_same_wherever_the_laboratory_is():
 
 def test_bodies_are_where_the_camera_and_the_rail_say():
     at = posture(rail_m=1.5)
-    capsules = arm_capsules_trs(at, OPEN)
+    capsules = [solid for solid in solids_at(at, OPEN) if isinstance(solid, Capsule)]
     assert [c.name for c in capsules] == ["column", "upper arm", "forearm", "wrist", "hand"]
     # Rail at 1.5: the base stands at Z = 6 - 1.5, and the arm reaches on towards the model.
     assert capsules[0].p0_trs_m[2] == pytest.approx(4.5, abs=0.05)
-    corners = plate_corners_trs(at, OPEN)
+    corners = plate_corners_trs_m(at)
     np.testing.assert_allclose(corners.mean(axis=0), [1.08, 2.08, 3.42], atol=0.1)
     assert np.ptp(corners, axis=0).max() < np.linalg.norm([0.2, 0.34, 0.2])
 
@@ -140,14 +135,14 @@ def test_nearest_thing_is_named_with_its_distance():
     wall = {"wall": (np.array([-1.0, 0.0, -0.5]), np.array([3.0, 4.2, 3.0]))}
     found = clearance(posture(rail_m=1.5), make_scene(obstacles=wall))
     assert found.between == ("plate", "wall")
-    corners = plate_corners_trs(posture(rail_m=1.5), OPEN)
+    corners = plate_corners_trs_m(posture(rail_m=1.5))
     assert found.distance_m == pytest.approx(corners[:, 2].min() - 3.0, abs=1e-6)
 
 
 def test_model_is_as_far_as_the_front_of_the_plate():
     found = clearance(posture(rail_m=4.3), OPEN)
     assert found.between == ("plate", "terrain model")
-    front_m = plate_corners_trs(posture(rail_m=4.3), OPEN)[:, 2].min()
+    front_m = plate_corners_trs_m(posture(rail_m=4.3))[:, 2].min()
     assert front_m - 0.02 < found.distance_m <= front_m + 1e-9
 
 
@@ -186,7 +181,7 @@ def test_on_the_way_a_post_is_met_that_neither_end_is_near():
 @pytest.mark.parametrize("a1_deg", [-37.0, -19.0, 11.0, 23.0, 44.0])
 def test_a_pin_that_only_a_corner_of_the_plate_touches_is_found(a1_deg: float):
     p_axis = np.array([2.3, 2.08, 4.0])
-    corners = plate_corners_trs(posture(rail_m=2.0, a1=a1_deg), OPEN)
+    corners = plate_corners_trs_m(posture(rail_m=2.0, a1=a1_deg))
     outermost = corners[np.linalg.norm((corners - p_axis)[:, 1:], axis=1).argmax()]
     pin = {"pin": (outermost - 0.005, outermost + 0.005)}
     scene = make_scene(obstacles=pin, clearance_m=0.02)
@@ -248,32 +243,13 @@ def test_way_from_a_shot_that_is_refused_is_not_held_against_the_next():
 
 def test_too_near_says_how_near_and_what_is_allowed():
     at = posture(rail_m=1.5)
-    front_m = plate_corners_trs(at, OPEN)[:, 2].min()
+    front_m = plate_corners_trs_m(at)[:, 2].min()
     wall = {"wall": (np.array([-1.0, 0.0, 0.0]), np.array([3.0, 4.2, front_m - 0.03]))}
     (check,) = check_clearance_along([at], make_scene(obstacles=wall))
     (finding,) = check.findings
     assert finding.text.startswith("plate comes to 0.030 m from wall, allowed 0.05 m")
     (check,) = check_clearance_along([at], make_scene(obstacles=wall, clearance_m=0.02))
     assert check.findings == ()
-
-
-def test_line_of_sight_is_as_near_to_solids_as_its_samples():
-    rng = np.random.default_rng(5)
-    at, scene = posture(), make_scene(obstacles=POST)
-    clouds = {name: KDTree(points) for name, points in surfaces(at, scene).items()}
-    solids = solids_at(at, scene)
-    ends = rng.uniform([0.0, 0.0, 2.0], [2.5, 4.0, 6.0], (2, 20, 3))
-    told_m = segment_clearances_m(ends[0], ends[1], solids)
-    assert told_m.shape == (20, len(solids))
-    for i in range(20):
-        points = np.linspace(ends[0, i], ends[1, i], 400)
-        for k, solid in enumerate(solids):
-            if told_m[i, k] > 0.02:
-                sampled_m = clouds[solid.name].query(points)[0].min()
-                assert told_m[i, k] - 1e-5 < sampled_m < told_m[i, k] + 0.05
-        nearest = segment_clearance(ends[0, i], ends[1, i], solids, name="line of sight")
-        assert nearest.distance_m == pytest.approx(told_m[i].min())
-        assert nearest.between[0] == "line of sight"
 
 
 def test_box_whose_corners_are_the_wrong_way_round_is_refused():

@@ -55,4 +55,6 @@ def test_it_gives_up_after_so_many_tries():
 
 def test_an_accepted_pose_is_the_answer_if_nothing_nearer_passes():
     accepted = at(0.0, 0.0, 2.0)
-    assert nearest_feasible(ORIGIN, [accepted], lambda pose: False, max_tries=300) is accepted
+    found = nearest_feasible(ORIGIN, [at(3.0), accepted], lambda p: p is accepted, max_tries=300)
+    assert found is accepted
+    assert nearest_feasible(ORIGIN, [accepted], lambda pose: False, max_tries=300) is None

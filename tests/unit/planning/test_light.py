@@ -67,8 +67,8 @@ def test_a_plate_throws_the_shadow_of_its_face_next_to_the_lamp():
     expected = (0.6 * scale) ** 2 / 4.0
     found = light([Box("plate", plate)]).robot_shadow
     assert found == pytest.approx(
-        expected, rel=2 / 43
-    )  # 43 samples wide, edges known to half of one
+        expected, rel=2 / 29
+    )  # 29 samples wide, edges known to half of one
 
 
 def test_what_the_terrain_darkens_is_no_shadow_of_the_robot():

@@ -12,7 +12,6 @@ from tronlab.planning.summary import (
     duration_text,
     end_line,
     full_summary,
-    nearest_text,
     verdict,
 )
 
@@ -35,7 +34,7 @@ def test_full_summary_says_what_is_refused_why_and_what_could_be_done():
         "  nearest pose that can be taken: 50 mm and 0.0 deg away,"
         " camera at x y z 1.080 2.110 3.960 m"
     )
-    assert lines[at + 3] == "  nearest pose that can be taken: none found"
+    assert lines[at + 3] == "  nearest pose that can be taken: none known"
     assert "3.0 % of what is seen" not in lines[at + 2], "a warning is no reason to refuse"
 
 
@@ -63,8 +62,17 @@ def test_brief_summary_is_a_few_lines_however_many_shots_are_refused():
     plan = planned()
     plan = replace(plan, shots=(plan.shots[0],) * 400)
     lines = brief_summary(plan, begun=BEGUN).splitlines()
-    assert len(lines) == 9
-    assert lines[-2] == "refused: 397 more shots"
+    assert len(lines) == 6
+    assert lines[-2:] == [
+        "refused: 397 more shots",
+        "estimated time: none, no shot can be taken",
+    ]
+
+
+def test_brief_summary_tells_warnings_but_no_nearest_poses():
+    text = brief_summary(planned(), begun=BEGUN)
+    assert f"warned: shot 2: {TOO_DARK.text} (and 1 more" in text
+    assert "nearest" not in text
 
 
 @pytest.mark.parametrize(
@@ -79,10 +87,6 @@ def test_the_day_is_named_if_the_run_ends_on_another_one():
     plan = replace(planned(), start_s=3600.0)
     assert end_line(plan, begun=BEGUN).endswith("begun at 23:50, done at Mon 23 Nov 00:50")
     assert end_line(planned(), begun=BEGUN).endswith("begun at 23:50, done at 23:50")
-
-
-def test_nothing_is_said_of_a_nearest_pose_that_is_not_known():
-    assert not nearest_text(planned().shots[-1])
 
 
 def test_verdict_on_every_outcome():

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from planned import CAMERA, OUT_OF_REACH, planned, small_stage
 from scipy.spatial.transform import RigidTransform, Rotation
 
@@ -43,7 +44,17 @@ def report(assessment=None, *, stage=None) -> PlanReport:
     )
 
 
-def test_report_has_page_pictures_tables_and_json(tmp_path):
+def save_coarsely(figure, directory, stem):
+    """As charts are saved, in a moment."""
+    path = directory / f"{stem}.png"
+    figure.set_layout_engine("none")
+    figure.set_dpi(20)
+    FigureCanvasAgg(figure).print_png(path)
+    return path
+
+
+def test_report_has_page_pictures_tables_and_json(tmp_path, monkeypatch):
+    monkeypatch.setattr("tronlab.report.plan.save_chart", save_coarsely)
     views = []
     page = build_plan_report(
         report(stage=small_stage()), tmp_path / "a" / "b", on_view=lambda *n: views.append(n)

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from tronlab.dataset import schema
+from tronlab.dataset.columns import Column
 from tronlab.dataset.reader import Dataset
 from tronlab.geometry.poses import ROTATION_TOLERANCE, FloatArray
 
@@ -53,7 +53,7 @@ def imported(dataset: Dataset) -> NDArray[np.bool_]:
     return np.isin(dataset.stored.sessions()[list(dataset.row_numbers)], foreign)
 
 
-def _judge(column: schema.Column, rows: FloatArray) -> tuple[NDArray[np.bool_], str]:
+def _judge(column: Column, rows: FloatArray) -> tuple[NDArray[np.bool_], str]:
     """Tell which rows are bad, shape (n,), and why."""
     if column.shape == (7,):
         return ~is_pose(rows), "no pose with a unit quaternion"

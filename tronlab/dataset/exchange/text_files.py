@@ -93,20 +93,19 @@ def read_table(path: Path, *, required: Sequence[str], known: Sequence[str]) -> 
         DatasetError: It cannot be read, a required column is missing, a column is there twice, a
             row has more or fewer cells than there are columns, or there is no row.
     """
-    lines = csv.reader(io.StringIO(read_text(path)))
-    header = [name.strip() for name in next(lines, [])]
+    lines = _csv_lines(path)
+    header = [name.strip() for name in next(lines, ("", []))[1]]
     missing = [name for name in required if name not in header]
     if missing:
         raise DatasetError(
-            f"{path}:1: no column {', '.join(missing)}; the first line names the columns; needed"
-            f" are {', '.join(required)}"
+            f"{path}:1: no column {', '.join(missing)}; the first line names the columns, with"
+            f" commas between; needed are {', '.join(required)}"
         )
     twice = sorted({name for name in header if header.count(name) > 1})
     if twice:
         raise DatasetError(f"{path}:1: columns that are there twice: {', '.join(twice)}")
     rows: list[Row] = []
-    for cells in lines:
-        where = f"{path}:{lines.line_num}"
+    for where, cells in lines:
         if not any(cell.strip() for cell in cells):
             continue
         if len(cells) != len(header):
@@ -116,6 +115,15 @@ def read_table(path: Path, *, required: Sequence[str], known: Sequence[str]) -> 
     if not rows:
         raise DatasetError(f"{path}: has no rows below its header")
     return rows
+
+
+def _csv_lines(path: Path) -> Iterator[tuple[str, list[str]]]:
+    lines = csv.reader(io.StringIO(read_text(path)))
+    try:
+        for cells in lines:
+            yield f"{path}:{lines.line_num}", cells
+    except csv.Error as error:
+        raise DatasetError(f"{path}:{lines.line_num}: is no CSV: {error}") from error
 
 
 def read_lines(path: Path, *, columns: Sequence[str]) -> Iterator[tuple[str, list[str]]]:

@@ -100,6 +100,9 @@ def test_mistakes_in_a_table_are_named(tmp_path: Path, lines: list[str], message
 def test_tables_that_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match=r"none\.csv: No such file or directory"):
         read_folder(tmp_path / "none.csv")
+    (tmp_path / "old.csv").write_bytes(b"shot_id\rimage\r")
+    with pytest.raises(DatasetError, match=r"old\.csv:1: is no CSV: new-line character"):
+        read_folder(tmp_path / "old.csv")
     (tmp_path / "odd.csv").write_bytes(b"shot_id\n\xff")
     with pytest.raises(DatasetError, match=r"odd\.csv: is not UTF-8 text \(byte 8\)"):
         read_folder(tmp_path / "odd.csv")
