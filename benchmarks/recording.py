@@ -6,7 +6,7 @@ Prints frames a second and milliseconds a shot (1360 x 1024, Mono12, with mask) 
 writer, for arrays appended with h5py and a flush a shot, and for one .npy file an array; then the
 same for one shot of 1 MP at a time, which the writer forces to the disk. At last it opens a dataset
 of 100 000 shots without images. The writer does more than its peers: it checks every value, stores
-56 columns and three checksums, and forces everything to the disk once a second; the peers do none
+50 columns and three checksums, and forces everything to the disk once a second; the peers do none
 of that. All write to the same disk in the same run, in turns.
 """
 

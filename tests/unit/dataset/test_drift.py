@@ -49,9 +49,9 @@ def test_a_shot_is_as_good_as_the_checks_beside_it(
 
 
 def test_doubts_name_their_shots_as_spans() -> None:
-    ids = [1, 2, 3, 7, 8, 20]
+    ids = [1, 3, 7, 8, 20, 2]  # shot 2 was taken again
     assert doubts(ids, [G] * 6) == ()
-    suspect, unchecked = doubts(ids, [S, S, S, G, S, U])
+    suspect, unchecked = doubts(ids, [S, S, G, S, U, S])
     assert suspect.startswith("truth of shots 1-3, 8 is suspect: ")
     assert unchecked.startswith("truth of shots 20 is unchecked: ")
 
