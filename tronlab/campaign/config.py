@@ -189,7 +189,8 @@ class RetryConfig(Model):
     """A device was lost or does not answer; it is connected again first. Never the robot."""
     on_failure: Literal["stop", "skip"] = "skip"
     """When attempts are used up: end the run, or leave the shot out and go on with the next;
-    ``tronlab run --retake DIR --failed`` takes them later."""
+    ``tronlab run --retake DIR --failed`` takes them later. A device that stays lost or not ready
+    ends the run either way."""
     max_skipped_in_row: Annotated[int, Field(ge=1)] = 3
     """After so many shots skipped one after the other, one more ends the run all the same."""
 

@@ -7,6 +7,7 @@ from tronlab.campaign.console import Pause
 from tronlab.campaign.drift import DriftChecks
 from tronlab.campaign.listener import RunListener
 from tronlab.campaign.policy import (
+    OF_THE_DEVICE,
     Again,
     DiskNearlyFullError,
     LampDriftError,
@@ -74,12 +75,13 @@ class Course:
         n_unchecked = self.schedule.n_commits - self._n_at_last_check
         return not self.schedule.has_next or (every is not None and n_unchecked >= every)
 
-    @property
-    def can_skip(self) -> bool:
-        """Get whether the shot in hand may be left out if it cannot be taken."""
+    def can_skip(self, error: BaseException | None) -> bool:
+        """Tell whether the shot in hand may be left out after an error: the next may do better."""
         retry = self.taker.config.retry
         return (
-            retry.on_failure == "skip" and self.schedule.n_skipped_in_row < retry.max_skipped_in_row
+            retry.on_failure == "skip"
+            and class_of(error) not in OF_THE_DEVICE
+            and self.schedule.n_skipped_in_row < retry.max_skipped_in_row
         )
 
     def begin(self, attempt: Attempt) -> None:

@@ -269,7 +269,7 @@ def _until_done(task: _Task, crew: _Crew) -> Messages:
             match course.react(setbacks, failure.__cause__):
                 case Again(pause_s) | Wait(pause_s):
                     yield from _nap(pause_s, crew)
-                case GiveUp() if task.can_be_skipped and course.can_skip:
+                case GiveUp() if task.can_be_skipped and course.can_skip(failure.__cause__):
                     course.skip(setbacks, failure.__cause__)
                     return
                 case _:

@@ -72,6 +72,10 @@ class End:
 Reaction: TypeAlias = Again | Wait | GiveUp | End
 
 
+OF_THE_DEVICE: frozenset[ErrorClass | None] = frozenset({"lost_connection", "not_ready"})
+"""What will happen to the next shot as well: it ends the run when attempts are used up."""
+
+
 def class_of(error: BaseException | None) -> ErrorClass | None:
     """Give the class of an error that another attempt may help against; None: none does."""
     for kind, name in _CLASSES:

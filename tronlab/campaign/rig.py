@@ -229,7 +229,7 @@ def load_rig(path: Path) -> Rig:
 def _load_rig(path: Path, *, variants: tuple[Path, ...]) -> Rig:
     """Read a rig file; ``variants`` are the files that extend it."""
     text = read_text(path)
-    if line_of(text, ("extends",)) is None:
+    if "extends" not in text or line_of(text, ("extends",)) is None:  # parsing takes a while
         return Rig(config=parse_model(text, RigConfig, path=path), path=path, text=text)
     variant = parse_model(text, RigVariant, path=path)
     if variant.extends.resolve() in (*variants, path.resolve()):

@@ -62,7 +62,18 @@ def test_every_class_is_tried_again_told_and_counted_in_the_data(
     assert [dict(record.n_failures) for record in session.records] == [{kind: 1}, {}, {}, {}]
 
 
-@pytest.mark.parametrize(("call", "error", "kind"), RETRYABLE[1:5])
+@pytest.mark.parametrize(("call", "error", "kind"), RETRYABLE[3:6])
+def test_a_device_that_stays_away_ends_the_run(
+    session: RecordedSession, laboratory: Any, call: str, error: DeviceError, kind: ErrorClass
+) -> None:
+    session.configure(retry={kind: {"max_attempts": 2}})
+    laboratory.failures = fails(call, error, at=2, times=2)
+    with pytest.raises(type(error)):
+        session.run()
+    assert not any(line.startswith("skip") for line in session.told)
+
+
+@pytest.mark.parametrize(("call", "error", "kind"), RETRYABLE[1:3])
 def test_when_attempts_are_used_up_the_shot_is_skipped(
     session: RecordedSession, laboratory: Any, call: str, error: DeviceError, kind: ErrorClass
 ) -> None:
@@ -94,11 +105,10 @@ def test_too_many_skipped_in_a_row_end_the_run(
     session: RecordedSession, laboratory: Any, n_bad: int, is_over: bool
 ) -> None:
     session.configure(retry={"max_skipped_in_row": 2})
-    gone = NotConnectedError("gone", device="camera")
-    laboratory.failures = fails("grab", gone, at=1, times=1)
-    laboratory.failures |= fails("connect camera", gone, at=1, times=3 * n_bad - 1)
+    lost = IncompleteFrameError("packets lost", device="camera")
+    laboratory.failures = fails("grab", lost, at=1, times=3 * n_bad)
     if is_over:
-        with pytest.raises(NotConnectedError, match="camera: gone"):
+        with pytest.raises(IncompleteFrameError, match="packets lost"):
             session.run()
         assert session.ids == []
     else:
@@ -326,7 +336,8 @@ def test_whatever_goes_wrong_every_shot_is_stored_once_or_skipped(
 ) -> None:
     rng = np.random.default_rng(seed)
     patience(session, 40.0)
-    session.configure(retry={"max_skipped_in_row": 4})
+    many: dict[str, Any] = {"max_attempts": 20}
+    session.configure(retry={"max_skipped_in_row": 4, "not_ready": many, "lost_connection": many})
     calls = [call for call, _, _ in RETRYABLE] + ["read_room", "point"]
     for _ in range(25):
         call = str(rng.choice(calls))
