@@ -124,13 +124,13 @@ def test_killed_at_random_moments(scattered: Path, rig_path: Path, tmp_path: Pat
     children = multiprocessing.get_context("forkserver")
     children.set_forkserver_preload(["recording_child"])
     out, n_kills, n_done, n_before_kill = tmp_path / "out", 0, 0, []
-    while n_kills < N_KILLS:
+    while n_kills < N_KILLS and n_done < N_SHOTS:
         process = children.Process(target=go_on, args=(scattered, out))
         process.start()
-        is_early = rng.random() < 0.2
-        n_more = 0 if is_early else rng.geometric(1 / (1 + N_SHOTS / N_KILLS))
+        is_early = rng.random() < 0.3
+        n_more = 0 if is_early else rng.geometric(min(1.0, 1.5 * N_KILLS / N_SHOTS))
         wait_for_shots(out, process, n_more=int(n_more))
-        time.sleep(rng.uniform(0.0, 1.0 if is_early else 0.1))
+        time.sleep(rng.uniform(0.0, 1.0 if is_early else 0.03))
         process.kill()
         process.join()
         n_kills += 1
