@@ -6,6 +6,7 @@ is the figure the changelog names; by default it is a sample.
 
 import multiprocessing
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -163,7 +164,7 @@ def test_disk_full_at_random_moments(
 ) -> None:
     rng = np.random.default_rng(SEED)
     out, n_done, n_failures = tmp_path / "out", 0, 0
-    while n_failures < N_FULL_DISKS:
+    while n_failures < N_FULL_DISKS and n_done < N_SHOTS:
         budget = int(rng.uniform(0.0, 1.5) * 64 * 64 * 2 * max(4, 2 * N_SHOTS / N_FULL_DISKS))
         environment = {**os.environ, "LD_PRELOAD": str(full_disk), "DISK_BUDGET": str(budget)}
         ended = subprocess.run(
@@ -174,7 +175,8 @@ def test_disk_full_at_random_moments(
             text=True,
             timeout=600,
         )
-        assert "Traceback" not in ended.stderr, ended.stderr
+        # h5py itself prints what it cannot raise while it lets go of a file that was being made.
+        assert not re.search(r'File ".*/tronlab/', ended.stderr), ended.stderr
         n_failures += 1
         n_now = n_shots_of(out / "dataset.h5")
         assert n_now >= n_done, "a shot was lost"
