@@ -166,7 +166,8 @@ def test_disk_full_at_random_moments(
     out, n_done, n_failures = tmp_path / "out", 0, 0
     while n_failures < N_FULL_DISKS and n_done < N_SHOTS:
         budget = int(rng.uniform(0.0, 1.5) * 64 * 64 * 2 * max(4, 2 * N_SHOTS / N_FULL_DISKS))
-        environment = {**os.environ, "LD_PRELOAD": str(full_disk), "DISK_BUDGET": str(budget)}
+        disk = {"DISK_BUDGET": str(budget), "DISK_FOLDER": str(out)}
+        environment = {**os.environ, "LD_PRELOAD": str(full_disk), **disk}
         ended = subprocess.run(
             arguments(scattered, out),
             check=False,

@@ -1,12 +1,12 @@
 /* A disk that is full after so many bytes: laid over the C library by LD_PRELOAD.
  *
- * DISK_BUDGET names a file that holds the number of bytes that may still be written, as text. */
+ * DISK_BUDGET is how many bytes may be written to files whose path has DISK_FOLDER in it. */
 #define _GNU_SOURCE
 #include <dlfcn.h>
 #include <errno.h>
 #include <stdio.h>
 #include <stdlib.h>
-#include <sys/stat.h>
+#include <string.h>
 #include <sys/types.h>
 #include <unistd.h>
 
@@ -24,10 +24,21 @@ static long budget(void)
 
 static long written;
 
+static int is_on_disk(int fd)
+{
+    char link[64], path[4096];
+    const char *folder = getenv("DISK_FOLDER");
+    snprintf(link, sizeof link, "/proc/self/fd/%d", fd);
+    ssize_t length = readlink(link, path, sizeof path - 1);
+    if (length < 0 || !folder)
+        return 0;
+    path[length] = 0;
+    return strstr(path, folder) != NULL;
+}
+
 static int is_full(int fd, size_t size)
 {
-    struct stat status;
-    if (budget() < 0 || fstat(fd, &status) != 0 || !S_ISREG(status.st_mode))
+    if (budget() < 0 || !is_on_disk(fd))
         return 0;
     written += (long)size;
     return written > budget();
