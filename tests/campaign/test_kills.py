@@ -32,6 +32,8 @@ N_KILLS = int(os.environ.get("TRONLAB_KILLS", "2"))
 N_FULL_DISKS = int(os.environ.get("TRONLAB_FULL_DISKS", "2"))
 N_SHOTS = int(os.environ.get("TRONLAB_SHOTS", "40"))
 SEED = int(os.environ.get("TRONLAB_SEED", "1"))
+MASTER_BYTES = 500_000
+"""About what each session writes before its first shot."""
 COMMAND = [sys.executable, "-c", "from tronlab.cli import main; main()", "run"]
 FULL_DISK_C = Path(__file__).parents[1] / "support/full_disk.c"
 
@@ -165,7 +167,8 @@ def test_disk_full_at_random_moments(
     rng = np.random.default_rng(SEED)
     out, n_done, n_failures = tmp_path / "out", 0, 0
     while n_failures < N_FULL_DISKS and n_done < N_SHOTS:
-        budget = int(rng.uniform(0.0, 1.5) * 64 * 64 * 2 * max(4, 2 * N_SHOTS / N_FULL_DISKS))
+        n_more = max(4.0, 2 * N_SHOTS / N_FULL_DISKS)
+        budget = int(rng.uniform(0.0, 1.5) * (MASTER_BYTES + 64 * 64 * 2 * n_more))
         disk = {"DISK_BUDGET": str(budget), "DISK_FOLDER": str(out)}
         environment = {**os.environ, "LD_PRELOAD": str(full_disk), **disk}
         ended = subprocess.run(
