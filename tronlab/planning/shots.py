@@ -109,25 +109,6 @@ def check_reach(shots: Sequence[Shot], robot: Robot) -> None:
         )
 
 
-def check_terrain_in_view(plan: Plan, range_finder: RangeFinder) -> None:
-    """See that every optical axis meets the terrain, before anything moves.
-
-    Raises:
-        PlanError: Every shot that looks past the model: errors are judged by its distance.
-    """
-    past = [
-        str(shot.shot_id)
-        for shot in plan.shots
-        if not np.isfinite(range_los_m(range_finder, shot.trs_from_cam_nominal))
-    ]
-    if past:
-        raise PlanError(
-            f"{len(past)} of {len(plan.shots)} shots look past the terrain model:"
-            f" {', '.join(past)}; the optical axis must meet it, for errors are percent of that"
-            " distance; change the trajectory of the campaign"
-        )
-
-
 def range_los_m(range_finder: RangeFinder, trs_from_cam: RigidTransform) -> float:
     """Give the distance to the terrain along the optical axis; NaN if it is missed."""
     boresight_trs = trs_from_cam.rotation.apply([0.0, 0.0, 1.0])

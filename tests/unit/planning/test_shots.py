@@ -9,12 +9,10 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from tronlab.devices.laboratory import MountingSpec, PoseSpec
 from tronlab.devices.readings import RobotTarget
 from tronlab.errors import LimitError, PlanError
-from tronlab.geometry.poses import pose_along_boresight
 from tronlab.planning.shots import (
     Plan,
     Shot,
     check_reach,
-    check_terrain_in_view,
     database_indices,
     make_plan,
 )
@@ -136,20 +134,3 @@ def test_reference_views_are_distinct_and_spread(n_poses: int, data: st.DataObje
 def test_more_views_than_poses_are_refused() -> None:
     with pytest.raises(PlanError, match="3 reference views, but the trajectory has only 2 poses"):
         database_indices(2, n_views=3)
-
-
-class GroundUntil:
-    """Terrain that ends at x = 1.2 m."""
-
-    def range_along_m(self, p_trs_m: np.ndarray, direction_trs: np.ndarray) -> float:
-        return 3.0 if p_trs_m[0] < 1.2 else float("nan")
-
-
-def test_shots_that_look_past_the_model_are_all_listed() -> None:
-    xs = [1.0, 1.3, 1.1, 1.4]
-    looking = [
-        pose_along_boresight([x, 2.0, 3.0], boresight=[0, 0, -1], right=[0, 1, 0]) for x in xs
-    ]
-    plan = make_plan(looking, mounting=MOUNTING.nominal)
-    with pytest.raises(PlanError, match="2 of 4 shots look past the terrain model: 2, 4;"):
-        check_terrain_in_view(plan, GroundUntil())
