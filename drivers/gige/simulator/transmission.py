@@ -240,11 +240,11 @@ class Transmitter:
 
     def _resend_one(self, held: _Held | None, block_id: int, packet_id: int, route: Route) -> None:
         if held is not None and held.has(packet_id):
-            self._send(resent(held.block.packet(packet_id)), route)
             self.statistics.n_packets_resent += 1
+            self._send(resent(held.block.packet(packet_id)), route)
         else:
-            self._send(unavailable(block_id, packet_id), route)
             self.statistics.n_packets_unavailable += 1
+            self._send(unavailable(block_id, packet_id), route)
 
     def _forbid_fragments(self, *, is_forbidden: bool) -> None:
         if sys.platform == "linux":

@@ -49,6 +49,11 @@ class Simulator:
     def address(self) -> str:
         return f"127.0.0.1:{self.port}"
 
+    def fall_silent(self) -> None:
+        """Stop all its threads; the signal alone may take its time."""
+        self.process.send_signal(signal.SIGSTOP)
+        os.waitid(os.P_PID, self.process.pid, os.WSTOPPED | os.WNOWAIT)
+
     def end(self) -> None:
         self.process.kill()
         self.process.wait()
@@ -457,7 +462,7 @@ def test_camera_that_falls_silent_is_lost_and_can_be_connected_again(start: Star
     camera = make(simulator)
     camera.connect()
     camera.grab(timeout_s=5.0)
-    simulator.process.send_signal(signal.SIGSTOP)
+    simulator.fall_silent()
     with pytest.raises(NotConnectedError, match=r"^here: grab: .*then connect again"):
         camera.grab(timeout_s=1.0)
     camera.close()
