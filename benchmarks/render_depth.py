@@ -1,9 +1,9 @@
-"""Depth and shadows of the renderer beside Embree's, and the time of both: prints a table.
+"""Depth and shadows of our renderers beside Embree's, and the time of all: prints a table.
 
     python benchmarks/render_depth.py [--full]
 
 The comparison runs on a terrain of 0.9 x 1.2 m, 601 x 801 samples, whose triangles Embree holds in
-one piece. With --full, the renderer is also timed on the laboratory's model, 4401 x 8401 samples.
+one piece. With --full, ours are also timed on the laboratory's model, 4401 x 8401 samples.
 """
 
 import argparse
@@ -18,7 +18,9 @@ from tronlab.geometry.camera import CameraModel
 from tronlab.geometry.poses import pose_along_boresight
 from tronlab.render.heightfield import HeightfieldRenderer
 from tronlab.render.rays import centre_rays, subpixel_rays
+from tronlab.render.reference import ReferenceRenderer
 from tronlab.render.renderer import Lamp
+from tronlab.render.settings import RenderSettings
 from tronlab.terrain.config import ProceduralTerrain
 from tronlab.terrain.heightmap import HeightMap
 from tronlab.terrain.load import load_terrain
@@ -26,6 +28,7 @@ from tronlab.terrain.procedural import make_terrain
 
 CAMERA = CameraModel(1024, 1024, 760.0, 761.0, 515.0, 508.0, (-0.12, 0.05, 3e-4, -2e-4, 0.0))
 SHADOW_OFFSET_M = 2e-5
+RENDERERS = (ReferenceRenderer, HeightfieldRenderer)
 POSES = {
     "nadir": ((0.45, 0.6, 0.8), (0, 0, -1), (0, 1, 0)),
     "oblique": ((-0.3, 0.5, 0.5), (0.8, 0.1, -0.6), (0, 1, 0)),
@@ -92,7 +95,7 @@ def compare(name, heightmap, renderer, scene, lamp):
     is_facing = smooth_facing(heightmap, points, lamp) & (cos_facet > 0)
     differs = np.count_nonzero(is_lit != (np.asarray(shadow) == -1) & is_facing)
     print(
-        f"{name:8s} seen {both.mean():5.1%}"
+        f"{type(renderer).__name__:19s} {name:8s} seen {both.mean():5.1%}"
         f"  hit/miss differs {np.sum(is_seen != np.isfinite(depth)):3d}"
         f"  depth p50 {np.quantile(error, 0.5) * 1e6:.2f}"
         f" p99.9 {np.quantile(error, 0.999) * 1e6:.2f}"
@@ -113,23 +116,29 @@ def smooth_facing(heightmap, points, lamp):
 
 def time_the_laboratorys_model() -> None:
     heightmap = load_terrain(ProceduralTerrain(), base_dir=Path(), announce=print)
-    renderer = HeightfieldRenderer(heightmap)
     lamp = Lamp(np.array([-2.5, -1.5, 2.5]), 8.0)
     started = time.perf_counter()
     centre_rays(CAMERA), subpixel_rays(CAMERA)
     print(f"ray tables, once a camera: {time.perf_counter() - started:.2f} s")
+    for make in RENDERERS:
+        time_renderer(make(heightmap), lamp)
+
+
+def time_renderer(renderer, lamp) -> None:
     for distance_m in (4.0, 2.0, 1.0):
         pose = pose_along_boresight((1.08, 2.08, distance_m), boresight=(0, 0, -1), right=(0, 1, 0))
         for rays_per_pixel in (1, 4):
+            settings = RenderSettings(rays_per_pixel=rays_per_pixel)
+            renderer.render(CAMERA, pose, lamp, settings)
             times = []
             for _ in range(5):
                 started = time.perf_counter(), time.process_time()
-                renderer.render(CAMERA, pose, lamp, rays_per_pixel=rays_per_pixel)
+                renderer.render(CAMERA, pose, lamp, settings)
                 times.append((time.perf_counter() - started[0], time.process_time() - started[1]))
             wall_s, processor_s = np.min(times, axis=0)
             print(
-                f"{distance_m:.0f} m, {rays_per_pixel} rays a pixel: best {wall_s:.3f} s,"
-                f" processor {processor_s:.3f} s"
+                f"{type(renderer).__name__}, {distance_m:.0f} m, {rays_per_pixel} rays a pixel:"
+                f" best {wall_s:.3f} s, processor {processor_s:.3f} s"
             )
 
 
@@ -138,11 +147,12 @@ def main() -> None:
     parser.add_argument("--full", action="store_true", help="time the laboratory's model as well")
     arguments = parser.parse_args()
     heightmap = small_terrain()
-    renderer = HeightfieldRenderer(heightmap)
     scene, mesh = embree_scene(heightmap)
     lamp = Lamp(np.array([-0.9, -0.6, 0.9]), 1.0)
-    for name in POSES:
-        compare(name, heightmap, renderer, scene, lamp)
+    for make in RENDERERS:
+        renderer = make(heightmap)
+        for name in POSES:
+            compare(name, heightmap, renderer, scene, lamp)
     del mesh
     if arguments.full:
         time_the_laboratorys_model()

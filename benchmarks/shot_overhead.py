@@ -41,7 +41,7 @@ from tronlab.devices.readings import (
     RoomReading,
 )
 from tronlab.planning.shots import Plan
-from tronlab.render.renderer import Lamp
+from tronlab.render.photometry import Lambert
 
 LIMIT_MS = 25.0
 REPOSITORY = Path(__file__).parents[1]
@@ -101,14 +101,14 @@ def tronlab_ms(job: Job, foresight: Foresight, out: Path) -> list[float]:
     """Give the time of each shot."""
     config, calibration = job.campaign.config, job.calibration
     config = config.model_copy(update={"settle": config.settle.model_copy(update={"wait_s": 0.0})})
-    lamp = Lamp(p_trs_m=calibration.p_lamp_trs_m, intensity=1.0)
+    light = LightModel(
+        foresight.renderer, foresight.heightmap, calibration.camera, job.lamp, Lambert()
+    )
     taker = ShotTaker(
         devices=devices_of(InstantDevices(job, np.random.default_rng(1))),
         config=config,
         truth_source=TruthSource(calibration, foresight.heightmap, foresight.renderer),
-        light=LightModel(
-            foresight.renderer, foresight.heightmap, calibration.camera, lamp, "lambert"
-        ),
+        light=light,
     )
     nobody = DeviceIdentity("", "", "", "")
     session = new_session(

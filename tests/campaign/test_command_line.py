@@ -1,28 +1,13 @@
 """The commands as a person types them: exit codes, and what goes to stdout and stderr."""
 
-import os
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from command import tronlab
 
-MAIN = "from tronlab.cli import main; main()"
 EditYaml = Callable[..., None]
-
-
-def tronlab(*arguments: object, cwd: Path) -> "subprocess.CompletedProcess[str]":
-    return subprocess.run(
-        [sys.executable, "-c", MAIN, *(str(argument) for argument in arguments)],
-        capture_output=True,
-        text=True,
-        check=False,
-        timeout=250,
-        cwd=cwd,
-        env={**os.environ, "PYTHONWARNINGS": "error", "MPLBACKEND": "agg"},
-    )
 
 
 def test_run_prints_the_dataset_and_a_second_run_changes_nothing(

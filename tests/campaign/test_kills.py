@@ -107,10 +107,8 @@ def check_complete(path: Path, rig_path: Path) -> None:
         renderer = HeightfieldRenderer(rig.load_heightmap())
         lamp = Lamp(p_trs_m=np.array(rig.config.laboratory.lamp.p_trs_m), intensity=1.0)
         for i in range(N_SHOTS):
-            seen = renderer.render(
-                dataset.camera, dataset.truth(i).trs_from_cam, lamp,
-                photometry="lambert", rays_per_pixel=1,
-            ).radiance  # fmt: skip
+            pose = dataset.truth(i).trs_from_cam
+            seen = renderer.render(dataset.camera, pose, lamp).radiance
             assert int(np.argmax(shown @ outline(seen))) == i, f"row {i} shows another pose"
 
 

@@ -16,6 +16,7 @@ from tronlab.planning.context import PlanContext, Rules
 from tronlab.planning.duration import Timing
 from tronlab.planning.shots import make_plan
 from tronlab.render.heightfield import HeightfieldRenderer
+from tronlab.render.renderer import Lamp
 from tronlab.report.plan_stage import Stage
 from tronlab.terrain.heightmap import HeightMap
 
@@ -67,7 +68,7 @@ def small_stage() -> Stage:
         camera=CAMERA,
         tmac_from_cam=RigidTransform.from_translation([0.0, 0.18, -0.04]),
         p_tracker_trs_m=np.array([1.1, 4.6, 2.8]),
-        p_lamp_trs_m=np.array([-3.0, -2.5, 3.5]),
+        lamp=Lamp(np.array([-3.0, -2.5, 3.5]), intensity=1.0),
         heightmap=heightmap,
         renderer=HeightfieldRenderer(heightmap, n_threads=1),
         cell=CellSpec.model_validate({"envelope": {"obstacles": {"cabinet": cabinet}}}),

@@ -6,7 +6,9 @@ from scipy.spatial.transform import RigidTransform
 
 from tronlab.geometry.camera import CameraModel
 from tronlab.render.mask import model_mask
-from tronlab.render.renderer import Lamp, Photometry, Renderer
+from tronlab.render.photometry import Photometry
+from tronlab.render.renderer import Lamp, Renderer
+from tronlab.render.settings import RenderSettings
 from tronlab.terrain.heightmap import HeightMap
 
 WIDTH_PX = 64
@@ -34,8 +36,7 @@ class LightModel:
         mask = model_mask(self.heightmap, camera, trs_from_cam)
         if not mask.any():
             return None
-        rendering = self.renderer.render(
-            camera, trs_from_cam, self.lamp, photometry=self.photometry, rays_per_pixel=1
-        )
+        settings = RenderSettings(photometry=self.photometry)
+        rendering = self.renderer.render(camera, trs_from_cam, self.lamp, settings)
         mean = float(rendering.radiance[mask].mean())
         return mean if mean > 0 else None

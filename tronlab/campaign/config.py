@@ -8,7 +8,7 @@ from typing import Annotated, Literal, TypeAlias
 from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 
 from tronlab.errors import ConfigError
-from tronlab.render.renderer import Photometry, RaysPerPixel
+from tronlab.render.settings import RaysPerPixel, RenderedImages
 from tronlab.trajectory.config import TrajectoryConfig
 from tronlab.yaml_models import (
     ExistingFile,
@@ -33,15 +33,13 @@ Fraction = Annotated[float, Field(ge=0, le=1)]
 NotifyEvent: TypeAlias = Literal["begun", "suspended", "resumed", "done", "aborted", "failed"]
 
 
-class DatabaseConfig(Model):
+class DatabaseConfig(RenderedImages):
     """The reference views that navigation cores build their database from."""
 
     n_views: Annotated[int, Field(ge=1)] = 11
     """Number of nominal poses to render, equally spaced in the trajectory, both ends included."""
     rays_per_pixel: RaysPerPixel = 4
     """Rays cast through a pixel: 1 is faster, 4 has smooth edges."""
-    photometry: Photometry = "lambert"
-    """How the surface is taken to reflect light."""
 
 
 class CameraConfig(Model):

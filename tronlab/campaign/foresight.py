@@ -89,7 +89,7 @@ def foresee(
         camera=calibration.camera,
         tmac_from_cam=calibration.tmac_from_cam,
         p_tracker_trs_m=calibration.trs_from_trk.translation,
-        p_lamp_trs_m=calibration.p_lamp_trs_m,
+        lamp=job.lamp,
         heightmap=heightmap,
         renderer=HeightfieldRenderer(heightmap),
         cell=rig.config.cell,

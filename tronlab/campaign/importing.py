@@ -34,7 +34,7 @@ from tronlab.geometry.poses import FloatArray
 from tronlab.planning.shots import database_indices, range_los_m
 from tronlab.render.heightfield import HeightfieldRenderer
 from tronlab.render.mask import model_mask
-from tronlab.render.renderer import Lamp
+from tronlab.render.renderer import lamp_as_designed
 from tronlab.terrain.heightmap import HeightMap
 
 _UNKNOWN_RIG = "unknown"
@@ -244,7 +244,9 @@ def _views(
         heightmap=model.heightmap,
         renderer=model.renderer,
         camera=camera.model,
-        lamp=Lamp(p_trs_m=_p_lamp_trs_m(camera, model.rig, live), intensity=1.0),
+        lamp=lamp_as_designed(
+            model.rig.config.laboratory.lamp, _p_lamp_trs_m(camera, model.rig, live)
+        ),
         config=DatabaseConfig(),
         on_view=lambda n_done, n_all: live.advance("reference views", n_done=n_done, n_all=n_all),
     )

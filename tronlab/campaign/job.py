@@ -1,6 +1,7 @@
 """Everything a run reads from files, checked against each other before a device is asked."""
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +14,8 @@ from tronlab.dataset.places import images_folder, journal_path, lock_path, part_
 from tronlab.errors import CalibrationError, ConfigError, PlanError
 from tronlab.nav.cores import known_cores
 from tronlab.planning.shots import Plan, database_indices, make_plan
+from tronlab.render.registry import renderer_names
+from tronlab.render.renderer import Lamp, lamp_as_designed
 from tronlab.trajectory.poses import camera_poses
 from tronlab.yaml_models import read_text
 
@@ -40,6 +43,11 @@ class Job:
     plan: Plan
     """All shots, in the order of the trajectory."""
     seed: int
+
+    @property
+    def lamp(self) -> Lamp:
+        """Get the lamp where it was measured, of intensity 1."""
+        return lamp_as_designed(self.rig.config.laboratory.lamp, self.calibration.p_lamp_trs_m)
 
     @property
     def reference_indices(self) -> tuple[int, ...]:
@@ -77,6 +85,7 @@ def read_job(files: Files, *, seed: int | None, acceptance: Acceptance) -> Job:
         mounting=calibration.mounting(rig.config.laboratory.mounting),
     )
     _check_cores(campaign)
+    _check_renderers(campaign, rig)
     _check_references(campaign, len(plan.shots))
     return Job(
         campaign=campaign,
@@ -129,6 +138,20 @@ def _check_cores(campaign: Campaign) -> None:
                 f"no navigation core '{name}'; known cores: {', '.join(sorted(known))}",
                 "score", "cores", i,
             )  # fmt: skip
+
+
+def _check_renderers(campaign: Campaign, rig: Rig) -> None:
+    known = renderer_names()
+    name = campaign.config.database.renderer
+    if name not in known:
+        raise campaign.error(_no_renderer(name, known), "database", "renderer")
+    world = rig.config.world
+    if world is not None and world.surface.renderer not in known:
+        raise rig.error(_no_renderer(world.surface.renderer, known), "world", "surface", "renderer")
+
+
+def _no_renderer(name: str, known: Sequence[str]) -> str:
+    return f"no renderer '{name}'; known renderers: {', '.join(known)}"
 
 
 def _check_references(campaign: Campaign, n_poses: int) -> None:

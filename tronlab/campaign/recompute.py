@@ -15,8 +15,8 @@ from tronlab.campaign.acceptance import Acceptance
 from tronlab.campaign.accuracy import sigmas_of
 from tronlab.campaign.drift import judge
 from tronlab.campaign.live import Live, SilentLive
-from tronlab.campaign.recorded import recorded_database, recorded_heightmap
-from tronlab.campaign.reference import render_references
+from tronlab.campaign.recorded import recorded_database, recorded_heightmap, recorded_lamp
+from tronlab.campaign.reference import database_renderer, render_references
 from tronlab.campaign.shot import TruthSource
 from tronlab.dataset.drift import spans
 from tronlab.dataset.reader import Dataset
@@ -36,7 +36,6 @@ from tronlab.errors import CalibrationError, DatasetError
 from tronlab.geometry.poses import FloatArray
 from tronlab.geometry.uncertainty import pose_difference
 from tronlab.render.heightfield import HeightfieldRenderer
-from tronlab.render.renderer import Lamp
 from tronlab.terrain.heightmap import HeightMap
 from tronlab.yaml_models import read_text
 
@@ -203,15 +202,15 @@ def _views(
     live: Live,
 ) -> tuple[ReferenceView, ...]:
     """Render the reference views as the record has camera and lamp; their poses are nominal."""
-    recorded = dataset.references()
+    recorded, config = dataset.references(), recorded_database(dataset.provenance)
     live.advance("reference views", n_done=0, n_all=len(recorded))
     return render_references(
         [view.trs_from_cam for view in recorded],
         heightmap=heightmap,
-        renderer=renderer,
+        renderer=database_renderer(config, heightmap, at_hand=renderer, announce=live.announce),
         camera=record.camera,
-        lamp=Lamp(p_trs_m=record.p_lamp_trs_m, intensity=1.0),
-        config=recorded_database(dataset.provenance),
+        lamp=recorded_lamp(dataset.provenance, record.p_lamp_trs_m),
+        config=config,
         on_view=lambda n_done, n_all: live.advance("reference views", n_done=n_done, n_all=n_all),
     )
 

@@ -14,7 +14,10 @@ from ruamel.yaml.error import YAMLError
 from tronlab.campaign.config import DatabaseConfig
 from tronlab.campaign.rig import EXTENDS_MARK, load_rig
 from tronlab.dataset.records import Provenance
+from tronlab.devices.laboratory import LampSpec
 from tronlab.errors import ConfigError
+from tronlab.geometry.poses import FloatArray
+from tronlab.render.renderer import Lamp, lamp_as_designed
 from tronlab.terrain.config import TerrainConfig
 from tronlab.terrain.heightmap import HeightMap
 from tronlab.yaml_models import Model, parse_mapping
@@ -22,6 +25,10 @@ from tronlab.yaml_models import Model, parse_mapping
 
 class _TerrainSection(Model):
     terrain: TerrainConfig
+
+
+class _LampSection(Model):
+    lamp: LampSpec
 
 
 def recorded_database(provenance: Provenance) -> DatabaseConfig:
@@ -32,6 +39,22 @@ def recorded_database(provenance: Provenance) -> DatabaseConfig:
     """
     section = _section(provenance.campaign_yaml, "database", where="the recorded campaign")
     return parse_mapping(section or {}, DatabaseConfig, key="database")
+
+
+def recorded_lamp(provenance: Provenance, p_lamp_trs_m: FloatArray) -> Lamp:
+    """Give the lamp of a dataset, of intensity 1, where it was measured.
+
+    Args:
+        provenance: Of the dataset; its rig says what the lamp is like.
+        p_lamp_trs_m: Centre of the light, shape (3,).
+
+    Raises:
+        ConfigError: The recorded rig says something else than this version knows.
+    """
+    laboratory = _section_of_rig(provenance.rig_yaml, "laboratory")
+    lamp = laboratory.get("lamp") if isinstance(laboratory, dict) else None
+    spec = parse_mapping({"lamp": lamp}, _LampSection, key="laboratory").lamp
+    return lamp_as_designed(spec, p_lamp_trs_m)
 
 
 def recorded_heightmap(
@@ -60,9 +83,10 @@ def recorded_heightmap(
                 key="terrain",
             )
         return rig.load_heightmap(announce)
-    if recorded.kind == "file":
+    file = recorded.albedo_map if recorded.kind == "procedural" else recorded.path
+    if file is not None:
         raise ConfigError(
-            f"the dataset was recorded with a terrain from the file {recorded.path.name};"
+            f"the dataset was recorded with a terrain from the file {file.name};"
             " name the rig file that leads to it: --rig RIG.yaml"
         )
     return load_terrain(recorded, base_dir=Path(), announce=announce)
@@ -74,11 +98,19 @@ def recorded_terrain(rig_yaml: str) -> TerrainConfig:
     Raises:
         ConfigError: There is none, or not one that this version knows.
     """
-    for text in re.split(rf"{EXTENDS_MARK}.*\n", rig_yaml):
-        section = _section(text, "terrain", where="the recorded rig")
-        if section is not None:
-            return parse_mapping({"terrain": section}, _TerrainSection, key="rig").terrain
-    raise ConfigError("the recorded rig has no terrain; name the rig file: --rig RIG.yaml")
+    section = _section_of_rig(rig_yaml, "terrain")
+    if section is None:
+        raise ConfigError("the recorded rig has no terrain; name the rig file: --rig RIG.yaml")
+    return parse_mapping({"terrain": section}, _TerrainSection, key="rig").terrain
+
+
+def _section_of_rig(rig_yaml: str, name: str) -> Any:
+    """Give a section of a recorded rig: a variant's own, else that of the rig it extends."""
+    sections = (
+        _section(text, name, where="the recorded rig")
+        for text in re.split(rf"{EXTENDS_MARK}.*\n", rig_yaml)
+    )
+    return next((section for section in sections if section is not None), None)
 
 
 def _section(text: str, name: str, *, where: str) -> Any:
@@ -90,4 +122,4 @@ def _section(text: str, name: str, *, where: str) -> Any:
 
 
 def _heights_of(terrain: TerrainConfig) -> dict[str, Any]:
-    return terrain.model_dump(mode="json", exclude={"path"})
+    return terrain.model_dump(mode="json", exclude={"path", "albedo_map"})

@@ -18,7 +18,7 @@ from tronlab.campaign.job import Job
 from tronlab.campaign.live import Live
 from tronlab.campaign.notify import Notifier
 from tronlab.campaign.provenance import device_identities, software_versions
-from tronlab.campaign.reference import render_references
+from tronlab.campaign.reference import database_renderer, render_references
 from tronlab.campaign.session import new_session
 from tronlab.campaign.shot import ShotTaker, TruthSource
 from tronlab.campaign.stop import StopRequest, stopped_by_ctrl_c
@@ -32,7 +32,6 @@ from tronlab.dataset.records import (
 from tronlab.dataset.writer import DatasetWriter
 from tronlab.devices.registry import Devices, connected
 from tronlab.planning.shots import Plan, Shot, check_reach
-from tronlab.render.renderer import Lamp
 
 _SPARE_ROWS = 32
 """Room in the dataset for shots that are taken again during the run."""
@@ -218,7 +217,7 @@ def _taker(
             renderer=foresight.renderer,
             heightmap=foresight.heightmap,
             camera=calibration.camera,
-            lamp=Lamp(p_trs_m=calibration.p_lamp_trs_m, intensity=1.0),
+            lamp=job.lamp,
             photometry=config.database.photometry,
         ),
         warn=warn,
@@ -277,14 +276,17 @@ def provenance_of(assignment: Assignment, session: Session) -> Provenance:
 
 def _references(assignment: Assignment, live: Live) -> tuple[ReferenceView, ...]:
     job, foresight = assignment.job, assignment.foresight
+    config = job.campaign.config.database
     live.announce("renderer: getting ready; its first use after an installation compiles")
     live.advance("reference views", n_done=0, n_all=len(job.reference_indices))
     return render_references(
         [job.plan.shots[i].trs_from_cam_nominal for i in job.reference_indices],
         heightmap=foresight.heightmap,
-        renderer=foresight.renderer,
+        renderer=database_renderer(
+            config, foresight.heightmap, at_hand=foresight.renderer, announce=live.announce
+        ),
         camera=job.calibration.camera,
-        lamp=Lamp(p_trs_m=job.calibration.p_lamp_trs_m, intensity=1.0),
-        config=job.campaign.config.database,
+        lamp=job.lamp,
+        config=config,
         on_view=lambda n_done, n_all: live.advance("reference views", n_done=n_done, n_all=n_all),
     )

@@ -5,6 +5,7 @@ know, and never the truth of a shot.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,9 @@ from tronlab.dataset.records import ReferenceView
 from tronlab.errors import PlanError
 from tronlab.geometry.camera import CameraModel
 from tronlab.render.mask import model_mask
+from tronlab.render.registry import open_renderer
 from tronlab.render.renderer import Lamp, Renderer, Rendering
+from tronlab.render.settings import DEFAULT_RENDERER
 from tronlab.terrain.heightmap import HeightMap
 
 BRIGHT_PERCENTILE = 99.0
@@ -50,24 +53,16 @@ def render_references(
         PlanError: No view shows any lit terrain.
     """
     renderings: list[Rendering] = []
-    for trs_from_cam in poses:
-        renderings.append(
-            renderer.render(
-                camera,
-                trs_from_cam,
-                lamp,
-                photometry=config.photometry,
-                rays_per_pixel=config.rays_per_pixel,
-            )
-        )
+    for rendering in renderer.render_batch(camera, poses, lamp, config):
+        renderings.append(rendering)
         if on_view is not None:
             on_view(len(renderings), len(poses))
-    grey_per_radiance = _grey_scale([rendering.radiance for rendering in renderings])
+    scale = GreyScale.of([rendering.radiance for rendering in renderings])
     return tuple(
         ReferenceView(
             view_id=view_id,
             trs_from_cam=trs_from_cam,
-            image=_grey(rendering.radiance, grey_per_radiance),
+            image=scale.grey(rendering.radiance),
             depth_m=rendering.depth_m,
             mask=model_mask(heightmap, camera, trs_from_cam) & np.isfinite(rendering.depth_m),
         )
@@ -77,15 +72,50 @@ def render_references(
     )
 
 
-def _grey_scale(radiances: Sequence[NDArray[np.float32]]) -> float:
-    lit = np.concatenate([radiance[radiance > 0] for radiance in radiances])
-    if lit.size == 0:
-        raise PlanError(
-            "no reference view shows lit terrain; check the trajectory, the terrain's origin_trs_m"
-            " and the lamp of the calibration record"
-        )
-    return BRIGHT_GREY / float(np.percentile(lit, BRIGHT_PERCENTILE))
+def database_renderer(
+    config: DatabaseConfig,
+    heightmap: HeightMap,
+    *,
+    at_hand: Renderer,
+    announce: Callable[[str], None],
+) -> Renderer:
+    """Give who renders the reference views: the usual renderer, unless another one is asked for.
+
+    Args:
+        config: Says which.
+        heightmap: The terrain.
+        at_hand: The usual renderer of that terrain, which others use too.
+        announce: Told of slow steps.
+
+    Raises:
+        RenderError: There is no renderer of that name, or what it needs is not installed.
+    """
+    if (config.renderer, config.every_n) == (DEFAULT_RENDERER, 1):
+        return at_hand
+    return open_renderer(config.renderer, heightmap, every_n=config.every_n, announce=announce)
 
 
-def _grey(radiance: NDArray[np.float32], grey_per_radiance: float) -> NDArray[np.uint8]:
-    return np.clip(np.rint(radiance * grey_per_radiance), 0, 255).astype(np.uint8)
+@dataclass(frozen=True, slots=True)
+class GreyScale:
+    """How radiance becomes grey values of 8 bit, the same in all images of a set."""
+
+    grey_per_radiance: float
+
+    @classmethod
+    def of(cls, radiances: Sequence[NDArray[np.float32]]) -> "GreyScale":
+        """Choose it so that only the brightest of what is lit may saturate.
+
+        Raises:
+            PlanError: Nothing is lit.
+        """
+        lit = np.concatenate([radiance[radiance > 0] for radiance in radiances])
+        if lit.size == 0:
+            raise PlanError(
+                "no view shows lit terrain; check the trajectory, the terrain's origin_trs_m and"
+                " the lamp of the calibration record"
+            )
+        return cls(BRIGHT_GREY / float(np.percentile(lit, BRIGHT_PERCENTILE)))
+
+    def grey(self, radiance: NDArray[np.float32]) -> NDArray[np.uint8]:
+        """Give the image of a radiance; what is brighter than 255 is 255."""
+        return np.clip(np.rint(radiance * self.grey_per_radiance), 0, 255).astype(np.uint8)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
@@ -119,10 +120,7 @@ class Rig:
         Raises:
             TerrainError: Its file cannot be read or makes no sense.
         """
-        from tronlab.terrain.load import load_terrain
-
-        base_dir = self._home_of("terrain").path.parent
-        return load_terrain(self.config.terrain, base_dir=base_dir, announce=announce)
+        return self._load_terrain(self.config.terrain, "terrain", announce)
 
     def open_devices(
         self,
@@ -175,7 +173,7 @@ class Rig:
             options=config.options,
             seed=seed,
             world=world,
-            base_dir=self._home_of("devices").path.parent,
+            base_dir=self.home_of("devices").path.parent,
             session=session,
             shared={} if shared is None else shared,
         )
@@ -186,17 +184,33 @@ class Rig:
         """Give what the simulated laboratory is made from; None if the rig describes none.
 
         Args:
-            load_heightmap: Where its camera gets the terrain; by default ``load_heightmap``.
+            load_heightmap: Where its camera gets the terrain, unless ``world.terrain`` says
+                how that really is; by default ``load_heightmap``.
         """
-        if self.config.world is None:
+        world = self.config.world
+        if world is None:
             return None
         from tronlab.twin.world import WorldSetup
 
+        if world.terrain is not None:
+            load_heightmap = partial(self._load_terrain, world.terrain, "world")
         return WorldSetup(
-            config=self.config.world,
+            config=world,
             laboratory=self.config.laboratory,
             load_heightmap=load_heightmap or self.load_heightmap,
         )
+
+    def _load_terrain(
+        self,
+        terrain: TerrainConfig,
+        section: str,
+        announce: Callable[[str], None] | None = None,
+    ) -> HeightMap:
+        """Make or read a terrain that a section of the file describes."""
+        from tronlab.terrain.load import load_terrain
+
+        base_dir = self.home_of(section).path.parent
+        return load_terrain(terrain, base_dir=base_dir, announce=announce)
 
     def _placed(self, error: ConfigError, kind: str) -> ConfigError:
         """Say where in the rig file a driver's complaint belongs."""
@@ -204,16 +218,18 @@ class Rig:
             return error
         key = error.key or f"devices.{kind}"
         message = str(error).removeprefix(f"{error.key}: ")
-        home = self._home_of("devices")
-        return ConfigError(
-            message, path=home.path, line=line_of(home.text, tuple(key.split("."))), key=key
-        )
+        return self.error(message, *key.split("."))
 
-    def _home_of(self, section: str) -> "Rig":
+    def error(self, message: str, *key: str) -> ConfigError:
+        """Make an error that names file, line and key."""
+        home = self.home_of(key[0])
+        return ConfigError(message, path=home.path, line=line_of(home.text, key), key=".".join(key))
+
+    def home_of(self, section: str) -> "Rig":
         """Give the rig file that a section stands in: this one, or one that it extends."""
         extended = self.extended
         if extended and getattr(self.config, section) is getattr(extended.config, section):
-            return extended._home_of(section)  # noqa: SLF001  # a rig like this one
+            return extended.home_of(section)
         return self
 
 

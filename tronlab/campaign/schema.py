@@ -79,7 +79,7 @@ def _rows(node: Mapping[str, Any], schema: Mapping[str, Any], *, prefix: str) ->
         if "const" in field:
             continue
         members = _members(field, schema)
-        default = "required" if key in required else "" if members else _default(field)
+        default = "required" if key in required else _default(field, members)
         text = field.get("description", "").replace("\n", " ").replace("|", "\\|")
         yield f"| `{prefix}{key}` | {_type(field, members)} | {default} | {text} |"
         for tag, member in members.items():
@@ -92,9 +92,10 @@ def _rows(node: Mapping[str, Any], schema: Mapping[str, Any], *, prefix: str) ->
 
 def _members(field: Mapping[str, Any], schema: Mapping[str, Any]) -> dict[str, Mapping[str, Any]]:
     """Give the models a field may hold, by the tag that chooses among them; none for a value."""
-    if "discriminator" in field:
-        mapping = field["discriminator"]["mapping"]
-        return {tag: _resolved(reference, schema) for tag, reference in mapping.items()}
+    for union in (field, *field.get("anyOf", ())):
+        if "discriminator" in union:
+            mapping = union["discriminator"]["mapping"]
+            return {tag: _resolved(reference, schema) for tag, reference in mapping.items()}
     candidates = [field, field.get("items", {}), *field.get("anyOf", ())]
     references = [c["$ref"] for c in candidates if "$ref" in c]
     models = [_resolved(reference, schema) for reference in references]
@@ -108,6 +109,9 @@ def _resolved(reference: str, schema: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def _type(field: Mapping[str, Any], members: Mapping[str, Mapping[str, Any]]) -> str:
     if members:
+        named = next((f for f in field.get("anyOf", ()) if "enum" in f), None)
+        if named:
+            return f"{_type(named, {})} or section"
         return "list" if field.get("type") == "array" else "section"
     if "enum" in field:
         return " or ".join(f"`{_plain(value)}`" for value in field["enum"])
@@ -125,9 +129,12 @@ def _type(field: Mapping[str, Any], members: Mapping[str, Mapping[str, Any]]) ->
     return ", ".join([name, *limits])
 
 
-def _default(field: Mapping[str, Any]) -> str:
+def _default(field: Mapping[str, Any], members: Mapping[str, Mapping[str, Any]]) -> str:
     if "default" not in field:
         return ""
+    if members:
+        kind = field["default"].get("kind") if isinstance(field["default"], dict) else None
+        return f"`{kind}`" if kind else ""
     return "" if field["default"] in (None, "") else f"`{_plain(field['default'])}`"
 
 

@@ -15,10 +15,12 @@ from tronlab.cli.dataset import dataset
 from tronlab.cli.demo import demo
 from tronlab.cli.exit_codes import INTERRUPTED, USER_ERROR
 from tronlab.cli.plan import plan
+from tronlab.cli.render import render
 from tronlab.cli.report import report
 from tronlab.cli.rig import rig
 from tronlab.cli.run import run
 from tronlab.cli.score import score
+from tronlab.cli.terrain import terrain
 from tronlab.cli.twin import twin
 from tronlab.errors import TronlabError
 
@@ -29,11 +31,12 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Test campaigns for optical navigation: plan, run, score and report.",
 )
-for command in (demo, plan, run, score, report, budget):
+for command in (demo, plan, render, run, score, report, budget):
     app.command()(command)
 app.add_typer(calibrate, name="calibrate")
 app.add_typer(dataset, name="dataset")
 app.add_typer(rig, name="rig")
+app.add_typer(terrain, name="terrain")
 app.add_typer(twin, name="twin")
 
 

@@ -197,14 +197,35 @@ class BoardSpec(PatternSpec):
         return PatternSpec.model_validate(self.model_dump(exclude={"trs_from_board"}))
 
 
+class ConeSpec(Model):
+    """The cone that a spotlight lights: full inside the inner angle, dark outside the outer one."""
+
+    axis_trs: Vector
+    """Where the beam goes; of any length."""
+    inner_half_angle_deg: Annotated[float, Field(ge=0, lt=90)]
+    outer_half_angle_deg: Annotated[float, Field(gt=0, le=90)]
+
+    @model_validator(mode="after")
+    def _cone_is_one(self) -> "ConeSpec":
+        if not any(self.axis_trs):
+            raise ValueError("axis_trs: is zero, must have a direction")
+        if self.inner_half_angle_deg > self.outer_half_angle_deg:
+            raise ValueError("inner_half_angle_deg must not exceed outer_half_angle_deg")
+        return self
+
+
 class LampSpec(Model):
-    """Where the lamp is meant to be."""
+    """Where the lamp is meant to be, and what it is like."""
 
     p_trs_m: Vector
     light_from_reflector_m: Vector = (0.0, 0.0, 0.0)
     """From the reflector on the lamp's housing to the centre of the light, in trs."""
     light_sigma_m: NotNegative = 0.0
     """How well that is known: one sigma of each coordinate."""
+    radius_m: Annotated[float, Field(ge=0, le=0.5)] = 0.0
+    """Of the luminous sphere, which gives shadows their soft edges; 0: a point."""
+    cone: ConeSpec | None = None
+    """Of a spotlight; null: light in all directions."""
 
 
 class LaboratorySpec(Model):

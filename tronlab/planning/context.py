@@ -13,7 +13,7 @@ from tronlab.geometry.poses import FloatArray
 from tronlab.planning.collision import Scene
 from tronlab.planning.duration import Timing
 from tronlab.planning.shots import RangeFinder
-from tronlab.render.renderer import Renderer
+from tronlab.render.renderer import Lamp, Renderer
 from tronlab.terrain.heightmap import HeightMap
 
 
@@ -43,8 +43,7 @@ class PlanContext:
     tmac_from_cam: RigidTransform
     p_tracker_trs_m: FloatArray
     """Where the tracker measures from, shape (3,)."""
-    p_lamp_trs_m: FloatArray
-    """Centre of the light, shape (3,)."""
+    lamp: Lamp
     heightmap: HeightMap
     renderer: TerrainRenderer
     cell: CellSpec

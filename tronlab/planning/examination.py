@@ -142,7 +142,7 @@ class Examiner:
             trs_from_cam,
             renderer=context.renderer,
             camera=context.camera,
-            p_lamp_trs_m=context.p_lamp_trs_m,
+            lamp=context.lamp,
             robot=solids,
         )
         return light, light_findings(

@@ -7,7 +7,6 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from tronlab.geometry.camera import CameraModel
-from tronlab.geometry.poses import FloatArray
 from tronlab.planning.assessment import Finding
 from tronlab.planning.barriers import are_barred
 from tronlab.planning.collision import Solid
@@ -32,7 +31,7 @@ def light_on_view(
     *,
     renderer: Renderer,
     camera: CameraModel,
-    p_lamp_trs_m: FloatArray,
+    lamp: Lamp,
     robot: Sequence[Solid],
 ) -> Light:
     """Predict the light by a small rendering, and by the ways from the lamp to what it shows.
@@ -41,17 +40,17 @@ def light_on_view(
         trs_from_cam: Where the camera is.
         renderer: Renders the terrain.
         camera: Its intrinsics.
-        p_lamp_trs_m: Centre of the light, shape (3,).
+        lamp: The lamp; a ray from its centre says what the robot keeps in the dark.
         robot: The solids that may stand in the light.
     """
     coarse = camera.scaled(min(LIGHT_WIDTH_PX, camera.width_px))
-    rendering = renderer.render(coarse, trs_from_cam, Lamp(p_lamp_trs_m, intensity=1.0))
+    rendering = renderer.render(coarse, trs_from_cam, lamp)
     is_seen = np.isfinite(rendering.depth_m)
     n_seen = int(np.count_nonzero(is_seen))
     if n_seen == 0:
         return Light(lit_fraction=float("nan"), robot_shadow=float("nan"))
     lit_points = rendering.points_trs_m[is_seen & rendering.is_lit].astype(np.float64)
-    n_barred = int(np.count_nonzero(are_barred(p_lamp_trs_m, lit_points, robot)))
+    n_barred = int(np.count_nonzero(are_barred(lamp.p_trs_m, lit_points, robot)))
     return Light(lit_fraction=(len(lit_points) - n_barred) / n_seen, robot_shadow=n_barred / n_seen)
 
 

@@ -9,7 +9,8 @@ from scipy.spatial.transform import RigidTransform
 from tronlab.geometry.camera import CameraModel
 from tronlab.render.bow import FLAT, Bow
 from tronlab.render.rays import centre_rays, subpixel_rays
-from tronlab.render.renderer import RaysPerPixel, RenderError
+from tronlab.render.renderer import RenderError
+from tronlab.render.settings import RaysPerPixel
 from tronlab.terrain.kernels import compiled, n_cores, run_interleaved
 
 

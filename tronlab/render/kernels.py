@@ -5,6 +5,8 @@ from typing import Any
 
 from numba import njit
 
+from tronlab.terrain.kernels import compiled_with
+
 # Without numba's counting of references: handing on a tuple of arrays would cost several atomic
 # operations an array and call, most of the time of a ray. So kernels cannot make arrays.
 _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False}
@@ -12,10 +14,7 @@ _OPTIONS: dict[str, Any] = {"nogil": True, "error_model": "numpy", "_nrt": False
 
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile a function that makes no arrays; kept on disk like ``terrain.kernels.compiled``."""
-    try:
-        return njit(cache=True, **_OPTIONS)(function)
-    except RuntimeError:
-        return njit(**_OPTIONS)(function)
+    return compiled_with(function, **_OPTIONS)
 
 
 def inlined(function: Callable[..., Any]) -> Callable[..., Any]:

@@ -71,7 +71,7 @@ def elevation_pictures(stage: Stage, shots: Sequence[ShotAssessment]) -> Figure:
 def _extent(view: View, stage: Stage, things: Sequence[Faces]) -> tuple[FloatArray, FloatArray]:
     """Give the lower left and upper right corner of what is drawn, with a margin for labels."""
     points = [faces.points_trs_m.reshape(-1, 3) for faces in things]
-    places, _ = view.project(np.concatenate([*points, stage.context.p_lamp_trs_m[None]]))
+    places, _ = view.project(np.concatenate([*points, stage.context.lamp.p_trs_m[None]]))
     low, high = places.min(axis=0), places.max(axis=0)
     margin = 0.05 * float((high - low).max())
     return low - margin, high + margin
@@ -120,14 +120,14 @@ _STATE_MARKS = {
 
 def _label(axes: Axes, view: View, stage: Stage) -> None:
     """Name what stands in the cell, and mark the lamp."""
-    lamp, _ = view.project(stage.context.p_lamp_trs_m)
+    lamp, _ = view.project(stage.context.lamp.p_trs_m)
     axes.plot(*lamp, "*", color=LAMP_COLOUR, markersize=13, markeredgecolor="black",
               markeredgewidth=0.5, zorder=4)  # fmt: skip
     model = stage.context.heightmap.origin_trs_m + np.array(
         [0.0, 0.5 * stage.context.heightmap.size_m[1], 0.0]
     )
     named = {
-        "lamp": stage.context.p_lamp_trs_m,
+        "lamp": stage.context.lamp.p_trs_m,
         "tracker": stage.context.p_tracker_trs_m,
         "model": model,
         **{

@@ -54,7 +54,7 @@ class Stage:
 def cell_faces(stage: Stage, shots: Sequence[ShotAssessment]) -> list[Faces]:
     """Give all bodies and lines but the floor."""
     return [
-        terrain(stage.context.heightmap, stage.context.p_lamp_trs_m),
+        terrain(stage.context.heightmap, stage.context.lamp.p_trs_m),
         *_rail(stage),
         *(
             faces
@@ -62,7 +62,7 @@ def cell_faces(stage: Stage, shots: Sequence[ShotAssessment]) -> list[Faces]:
             for faces in box(obstacle.corners_trs_m, colour=OBSTACLE_COLOUR, opacity=0.6)
         ),
         *_tracker(stage),
-        _plumb(stage, stage.context.p_lamp_trs_m),
+        _plumb(stage, stage.context.lamp.p_trs_m),
         *(part for shot in _drawn(shots) for part in _robot(stage, shot)),
         *_views(stage, shots),
         *_sights(stage, shots),

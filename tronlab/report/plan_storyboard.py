@@ -12,7 +12,7 @@ from tronlab.planning.assessment import ShotAssessment
 from tronlab.planning.context import PlanContext
 from tronlab.planning.summary import CHECK_LABELS
 from tronlab.render.mask import model_mask
-from tronlab.render.renderer import Lamp
+from tronlab.render.settings import RenderSettings
 from tronlab.report.plan_charts import REFUSED_COLOUR, WARNED_COLOUR
 from tronlab.report.style import new_figure, style_context
 
@@ -59,11 +59,11 @@ def predict_views(
     """
     camera, heightmap = context.camera, context.heightmap
     small = camera.scaled(min(_WIDTH_PX, camera.width_px))
-    lamp = Lamp(p_trs_m=context.p_lamp_trs_m, intensity=1.0)
     views: list[PredictedView] = []
+    settings = RenderSettings(rays_per_pixel=4)
     for shot in shots:
         pose = shot.shot.trs_from_cam_nominal
-        rendering = context.renderer.render(small, pose, lamp, rays_per_pixel=4)
+        rendering = context.renderer.render(small, pose, context.lamp, settings)
         views.append(PredictedView(shot, rendering.radiance, model_mask(heightmap, small, pose)))
         if on_view is not None:
             on_view(len(views), len(shots))

@@ -1,14 +1,16 @@
 """What a rig file says about its terrain model."""
 
 from pathlib import Path
-from typing import Annotated, Literal, Self, TypeAlias
+from typing import Annotated, ClassVar, Literal, Self, TypeAlias
 
 from pydantic import Field, model_validator
 
 from tronlab.yaml_models import Model
 
-MAX_SAMPLES = 100_000_000
-"""Largest number of samples of a height map: 400 MB of heights."""
+MAX_SAMPLES_IN_MEMORY = 100_000_000
+"""A height map of more samples stays in its file: 400 MB of heights."""
+MAX_SAMPLES = 2**31 - 1
+"""Largest number of samples of a height map: 8.6 GB on the disk. Kernels count in 32 bits."""
 
 LengthM: TypeAlias = Annotated[float, Field(ge=0.02, le=50.0)]
 CoordinateM: TypeAlias = Annotated[float, Field(ge=-100.0, le=100.0)]
@@ -16,7 +18,15 @@ PixelIndex: TypeAlias = Annotated[int, Field(ge=0)]
 PixelCount: TypeAlias = Annotated[int, Field(ge=8)]
 
 
-class _Terrain(Model):
+class _Painted(Model):
+    albedo_map: Path | None = None
+    """Grey picture of 8 or 16 bit that is stretched over the model, rows down it; white is 1. The
+    albedo is multiplied by it. Relative to the rig file."""
+
+
+class _Terrain(_Painted):
+    most_samples: ClassVar[int] = MAX_SAMPLES_IN_MEMORY
+
     size_m: tuple[LengthM, LengthM] = (2.2, 4.2)
     """Extent along X_TRS (down the model) and along Y_TRS (to the right), 0.02 to 50 m each."""
     relief_m: float = Field(default=0.26, gt=0.0, le=10.0)
@@ -35,9 +45,9 @@ class _Terrain(Model):
     @model_validator(mode="after")
     def _check_number_of_samples(self) -> Self:
         rows, columns = self.shape
-        if rows * columns > MAX_SAMPLES:
+        if rows * columns > self.most_samples:
             raise ValueError(
-                f"{rows} x {columns} samples are too many (at most {MAX_SAMPLES}):"
+                f"{rows} x {columns} samples are too many (at most {self.most_samples}):"
                 " make spacing_m larger or size_m smaller"
             )
         if min(rows, columns) < 8:
@@ -49,7 +59,13 @@ class _Terrain(Model):
 
 
 class ProceduralTerrain(_Terrain):
-    """A cratered, rough terrain made from a seed."""
+    """A cratered, rough terrain made from a seed.
+
+    Of more than 100 million samples it is made in pieces and stays in a file of the cache: 4 bytes
+    a sample, and 1.7 bytes for the renderer.
+    """
+
+    most_samples: ClassVar[int] = MAX_SAMPLES
 
     kind: Literal["procedural"] = "procedural"
     seed: int = Field(default=1, ge=0)
@@ -85,7 +101,7 @@ class ProceduralTerrain(_Terrain):
 
 
 class FileTerrain(_Terrain):
-    """A height map from a 16-bit PNG or a NumPy file.
+    """A height map from a file: GeoTIFF, PDS3 image, 16-bit PNG or NumPy.
 
     Rows of the file run down the model, its lowest sample lies at height 0 and its highest at
     ``relief_m``. What does not fit the shape of ``size_m`` is cut off on both sides.
@@ -93,9 +109,12 @@ class FileTerrain(_Terrain):
 
     kind: Literal["file"] = "file"
     path: Path
-    """16-bit grey PNG, or .npy of float32, float64, int16 or uint16; relative to the rig file."""
+    """16-bit grey .png, .tif with heights in metres, .img or .lbl of PDS3, or .npy of float32,
+    float64, int16 or uint16; relative to the rig file."""
     crop_px: tuple[PixelIndex, PixelIndex, PixelCount, PixelCount] | None = None
     """Part of the file to use: first row, first column, rows, columns; without it, all of it."""
+    holes_px: int = Field(default=0, ge=0)
+    """Widest hole to fill, in samples of the file; a wider one is an error. 0: any hole is."""
     roughness_slope: float = Field(default=0.0, ge=0.0, le=1.0)
     """Roughness added below the file's own resolution, so that a map enlarged to a model is not
     smooth close by: root mean square of the rise over a run of 10 mm. 0: the file as it is."""
@@ -105,4 +124,17 @@ class FileTerrain(_Terrain):
     """Seed of the added roughness."""
 
 
-TerrainConfig = Annotated[ProceduralTerrain | FileTerrain, Field(discriminator="kind")]
+class DemTerrain(_Painted):
+    """A terrain model in metres, exactly as it stands in tronlab's own file.
+
+    ``tronlab terrain make``, ``scan`` and ``convert`` write such files.
+    """
+
+    kind: Literal["dem"] = "dem"
+    path: Path
+    """NAME.npy, with its description NAME.json beside it; relative to the rig file."""
+    origin_trs_m: tuple[CoordinateM, CoordinateM, CoordinateM] | None = None
+    """Where sample (0, 0) would lie at height 0, in F_TRS; by default as the description says."""
+
+
+TerrainConfig = Annotated[ProceduralTerrain | FileTerrain | DemTerrain, Field(discriminator="kind")]

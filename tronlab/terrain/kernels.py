@@ -9,6 +9,8 @@ import logging
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 from numba import njit
@@ -22,11 +24,27 @@ def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
     The code is cached beside the source or, where that is read-only, in the user's cache folder.
     Without a writable folder it is compiled anew in each process.
     """
-    options: dict[str, Any] = {"nogil": True, "error_model": "numpy"}
+    return compiled_with(function, nogil=True, error_model="numpy")
+
+
+def compiled_with(function: Callable[..., Any], **options: Any) -> Callable[..., Any]:
+    """Do what ``compiled`` does, with other options of numba."""
     try:
-        return njit(cache=True, **options)(function)
+        kernel: Any = njit(cache=True, **options)(function)
     except RuntimeError:
         return njit(**options)(function)
+    # By itself numba compiles anew only when the kernel's own file has changed, not when another
+    # one has that it calls into.
+    kernel._cache._cache_file._source_stamp = _kernel_sources()  # noqa: SLF001
+    return kernel
+
+
+@cache
+def _kernel_sources() -> tuple[tuple[int, int], ...]:
+    """Give time and size of every file that may hold a kernel."""
+    package = Path(__file__).parent.parent
+    files = [*package.glob("terrain/**/*.py"), *package.glob("render/**/*.py")]
+    return tuple((info.st_mtime_ns, info.st_size) for info in map(Path.stat, sorted(files)))
 
 
 def n_cores() -> int:

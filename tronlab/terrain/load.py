@@ -4,15 +4,22 @@ import hashlib
 import json
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tronlab.terrain.cache import cache_file, load_heights, save_heights
-from tronlab.terrain.config import FileTerrain, ProceduralTerrain
-from tronlab.terrain.file import READER_VERSION, read_terrain
+from tronlab.terrain.albedo import read_albedo
+from tronlab.terrain.cache import cache_file, cache_folder, find_cached, keep
+from tronlab.terrain.config import (
+    MAX_SAMPLES_IN_MEMORY,
+    DemTerrain,
+    FileTerrain,
+    ProceduralTerrain,
+    TerrainConfig,
+)
+from tronlab.terrain.dem import describe_dem, open_dem, read_dem, save_dem
 from tronlab.terrain.heightmap import HeightMap, TerrainError
 from tronlab.terrain.procedural import GENERATOR_VERSION, make_terrain
 
@@ -20,7 +27,7 @@ logger = logging.getLogger(__name__)
 
 
 def load_terrain(
-    config: ProceduralTerrain | FileTerrain,
+    config: TerrainConfig,
     *,
     base_dir: Path,
     announce: Callable[[str], None] | None = None,
@@ -29,48 +36,144 @@ def load_terrain(
 
     Args:
         config: The terrain of the rig.
-        base_dir: Folder that a relative path of a file terrain starts from.
+        base_dir: Folder that a relative path of a file starts from.
         announce: Is told what takes time and what is cut off; by default the log.
 
     Raises:
-        TerrainError: The file of a file terrain is missing or unfit.
+        TerrainError: The file of the terrain is missing or unfit, or there is no room on the disk
+            for a terrain that does not fit into memory.
     """
-    announce = announce or logger.info
-    if isinstance(config, ProceduralTerrain):
-        origin: dict[str, int | str] = {"generator": GENERATOR_VERSION}
-        height_m = _cached(config, origin, announce, lambda: make_terrain(config))
-    else:
+    heightmap = _load_heights(config, base_dir, announce or logger.info)
+    if config.albedo_map is None:
+        return heightmap
+    return heightmap.painted(read_albedo(base_dir / config.albedo_map, heightmap.height_m.shape))
+
+
+def _load_heights(
+    config: TerrainConfig, base_dir: Path, announce: Callable[[str], None]
+) -> HeightMap:
+    if isinstance(config, DemTerrain):
         path = _existing_file(config.path, base_dir)
-        origin = {"reader": READER_VERSION, "sha256": _sha256(path)}
-        height_m = _cached(
-            config, origin, announce, lambda: read_terrain(config, path, announce=announce)
-        )
+        return _opener(describe_dem(path).shape)(path, config.origin_trs_m)
+    if isinstance(config, FileTerrain):
+        return _file_terrain(config, _existing_file(config.path, base_dir), announce)
+    if not _fits_memory(config.shape):
+        return _large_terrain(config, announce)
+    origin = {"generator": GENERATOR_VERSION}
+    return _from_cache(config, origin, announce, lambda: make_terrain(config))
+
+
+def make_dem(
+    config: ProceduralTerrain, path: Path, *, announce: Callable[[str], None] | None = None
+) -> None:
+    """Make a procedural terrain of any size as a file of its own.
+
+    Args:
+        config: The terrain.
+        path: NAME.npy; it and NAME.json are replaced.
+        announce: Is told what takes time; by default the log.
+
+    Raises:
+        TerrainError: The files cannot be written, or there is no room on the disk.
+    """
+    from tronlab.terrain.tiled import TILED_VERSION, write_terrain
+
+    announce = announce or logger.info
+    origin = {"generator": GENERATOR_VERSION}
+    if _fits_memory(config.shape):
+        announce(_making(config))
+        heightmap = _placed(config, make_terrain(config))
+        save_dem(path, heightmap, made_by=_made_by(config, origin))
+    else:
+        made_by = _made_by(config, {**origin, "tiled": TILED_VERSION})
+        write_terrain(config, path, made_by=made_by, announce=announce)
+
+
+def _fits_memory(shape: tuple[int, int]) -> bool:
+    return shape[0] * shape[1] <= MAX_SAMPLES_IN_MEMORY
+
+
+def _opener(
+    shape: tuple[int, int],
+) -> Callable[[Path, tuple[float, float, float] | None], HeightMap]:
+    """Give how a file of this shape is opened: small ones are faster to use in memory."""
+    open_file = read_dem if _fits_memory(shape) else open_dem
+    return lambda path, origin_trs_m: open_file(path, origin_trs_m=origin_trs_m)
+
+
+def _file_terrain(config: FileTerrain, path: Path, announce: Callable[[str], None]) -> HeightMap:
+    from tronlab.terrain.file import READER_VERSION, read_terrain
+    from tronlab.terrain.raster import files_of_raster
+
+    origin = {"reader": READER_VERSION, "sha256": _sha256(files_of_raster(path))}
+    return _from_cache(
+        config, origin, announce, lambda: read_terrain(config, path, announce=announce)
+    )
+
+
+def _from_cache(
+    config: ProceduralTerrain | FileTerrain,
+    origin: Mapping[str, object],
+    announce: Callable[[str], None],
+    make: Callable[[], NDArray[np.float32]],
+) -> HeightMap:
+    """Give the model from the cache, or make and keep it."""
+    cache = cache_file(_key(config, origin))
+    heightmap = _cached(config, cache)
+    if heightmap is not None:
+        return heightmap
+    announce(f"{_making(config)} (kept for the next time)")
+    start = time.perf_counter()
+    made = _placed(config, make())
+    logger.info("terrain model made in %.1f s", time.perf_counter() - start)
+    keep(lambda: save_dem(cache, made, made_by=_made_by(config, origin)))
+    return made
+
+
+def _large_terrain(config: ProceduralTerrain, announce: Callable[[str], None]) -> HeightMap:
+    """Give a model that stays in its file of the cache; make it first where it is not there."""
+    from tronlab.terrain.tiled import TILED_VERSION, write_terrain
+
+    origin = {"generator": GENERATOR_VERSION, "tiled": TILED_VERSION}
+    cache = cache_file(_key(config, origin))
+    heightmap = _cached(config, cache)
+    if heightmap is not None:
+        return heightmap
+    try:
+        cache_folder().mkdir(parents=True, exist_ok=True)
+        write_terrain(config, cache, made_by=_made_by(config, origin), announce=announce)
+    except (OSError, TerrainError) as error:
+        raise TerrainError(
+            f"{error}\nA terrain of {config.shape[0]} x {config.shape[1]} samples is kept in the"
+            " cache folder; XDG_CACHE_HOME names another place for it"
+        ) from error
+    return open_dem(cache, origin_trs_m=config.origin_trs_m)
+
+
+def _placed(config: ProceduralTerrain | FileTerrain, height_m: NDArray[np.float32]) -> HeightMap:
     return HeightMap(height_m, config.spacing_m, np.array(config.origin_trs_m, dtype=np.float64))
 
 
-def _cached(
-    config: ProceduralTerrain | FileTerrain,
-    origin: dict[str, int | str],
-    announce: Callable[[str], None],
-    make: Callable[[], NDArray[np.float32]],
-) -> NDArray[np.float32]:
-    """Give the heights from the cache, or make and keep them."""
-    cache = cache_file(_key(config, origin))
-    height_m = load_heights(cache, config.shape)
-    if height_m is not None:
-        return height_m
+def _cached(config: ProceduralTerrain | FileTerrain, cache: Path) -> HeightMap | None:
+    return find_cached(
+        cache, config.shape, lambda path: _opener(config.shape)(path, config.origin_trs_m)
+    )
+
+
+def _making(config: ProceduralTerrain | FileTerrain) -> str:
     rows, columns = config.shape
-    announce(f"making the terrain model of {rows} x {columns} samples (kept for the next time)")
-    start = time.perf_counter()
-    height_m = make()
-    logger.info("terrain model made in %.1f s", time.perf_counter() - start)
-    save_heights(cache, height_m)
-    return height_m
+    return f"making the terrain model of {rows} x {columns} samples"
 
 
-def _key(config: ProceduralTerrain | FileTerrain, origin: dict[str, int | str]) -> str:
+def _made_by(
+    config: ProceduralTerrain | FileTerrain, origin: Mapping[str, object]
+) -> dict[str, object]:
+    return {**config.model_dump(mode="json"), **origin}
+
+
+def _key(config: ProceduralTerrain | FileTerrain, origin: Mapping[str, object]) -> str:
     """Name everything the heights depend on: not where the model stands, not the file's name."""
-    settings = config.model_dump(mode="json", exclude={"origin_trs_m", "path"})
+    settings = config.model_dump(mode="json", exclude={"origin_trs_m", "path", "albedo_map"})
     text = json.dumps({**settings, **origin}, sort_keys=True)
     return f"{config.kind}-{hashlib.sha256(text.encode()).hexdigest()[:24]}"
 
@@ -84,6 +187,12 @@ def _existing_file(path: Path, base_dir: Path) -> Path:
     return path
 
 
-def _sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()
+def _sha256(paths: Sequence[Path]) -> str:
+    """Give one digest of all files; of a single one it is the file's own."""
+    digests: list[str] = []
+    for path in paths:
+        with path.open("rb") as file:
+            digests.append(hashlib.file_digest(file, "sha256").hexdigest())
+    if len(digests) == 1:
+        return digests[0]
+    return hashlib.sha256("".join(digests).encode()).hexdigest()

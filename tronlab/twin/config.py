@@ -12,7 +12,9 @@ from pydantic import Field, model_validator
 
 from tronlab.devices.accuracy import StatedAccuracy
 from tronlab.devices.laboratory import Positive, Vector
-from tronlab.render.renderer import Photometry, RaysPerPixel
+from tronlab.render.photometry import LunarLambert, PhotometryField
+from tronlab.render.settings import RaysPerPixel, RenderedImages
+from tronlab.terrain.config import TerrainConfig
 from tronlab.yaml_models import Model
 
 NotNegative = Annotated[float, Field(ge=0)]
@@ -51,10 +53,10 @@ class Deviation(Model):
     """Of each component of the rotation vector."""
 
 
-class SurfaceConfig(Model):
-    """The surface of the terrain model."""
+class SurfaceConfig(RenderedImages):
+    """The surface of the terrain model, and how images of it are made."""
 
-    photometry: Photometry = "lunar_lambert"
+    photometry: PhotometryField = LunarLambert()
     """Real surfaces are not the Lambert reflector that database images are rendered with."""
     albedo: Fraction = 0.35
     stray_radiance_w_per_m2_sr: NotNegative = 0.0005
@@ -227,6 +229,9 @@ class WorldConfig(Model):
     start_time_s: float = 1767225600.0
     """Simulated time at the start, seconds since 1970 UTC (2026-01-01). Moves, measuring windows
     and exposures let it pass; nobody waits for them."""
+    terrain: TerrainConfig | None = None
+    """The terrain as it really is, where that differs from the ``terrain`` that the laboratory
+    knows, which may be a scan of it; null: they are the same."""
     surface: SurfaceConfig = SurfaceConfig()
     lamp: TrueLampConfig = TrueLampConfig()
     robot: RobotConfig = RobotConfig()

@@ -126,12 +126,13 @@ def build_laboratory(spec: LaboratorySpec, config: WorldConfig) -> TrueLaborator
 def serial_number(spec: LaboratorySpec, config: WorldConfig) -> str:
     """Give a serial number that two laboratories share only if they are built alike.
 
-    Scripted faults leave it as it is: they happen to a laboratory and do not make another one.
+    Scripted faults leave it as it is: they happen to a laboratory and do not make another one. So
+    does the terrain: nothing that is calibrated depends on it.
     It is a number below 2^31, as trackers have.
     """
     parts = {
         "laboratory": spec.model_dump(mode="json"),
-        "world": config.model_dump(mode="json", exclude={"faults"}),
+        "world": config.model_dump(mode="json", exclude={"faults", "terrain"}),
     }
     digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).digest()
     return str(int.from_bytes(digest[:4]) >> 1)

@@ -13,7 +13,7 @@ from tronlab.devices.laboratory import CameraSpec, LaboratorySpec, Vector
 from tronlab.devices.readings import RobotTarget
 from tronlab.geometry.camera import CameraModel
 from tronlab.geometry.poses import FloatArray, pose_along_boresight, pose_from_xyz_quat
-from tronlab.render.renderer import Lamp, Renderer
+from tronlab.render.renderer import Lamp, Renderer, lamp_as_designed
 from tronlab.terrain.heightmap import HeightMap
 from tronlab.twin.board import board_from_print, bow_of_print, light_on_board, print_board
 from tronlab.twin.config import WorldConfig
@@ -63,7 +63,7 @@ class World:
         self.serial = serial_number(self.spec, self.config)
         self.state: StateStore = state or LocalState(initial_state(setup))
         self._load_heightmap = setup.load_heightmap
-        self._make_renderer = make_renderer or _heightfield_renderer
+        self._make_renderer = make_renderer or self._open_renderer
         self._renderer: Renderer | None = None
         self._seeing = threading.Lock()
         self._seen: tuple[object, NDArray[np.float32]] | None = None
@@ -74,9 +74,22 @@ class World:
         return self._truth(self.state.read())
 
     @property
+    def lamp(self) -> Lamp:
+        """Get the lamp as it burns at full light."""
+        return lamp_as_designed(
+            self.spec.lamp,
+            self.laboratory.p_light_trs_m,
+            intensity=self.config.lamp.intensity_w_per_sr / np.pi,
+        )
+
+    @property
     def robot_at(self) -> RobotTarget:
         """Get where the robot's encoders say it stands."""
         return self.state.read().robot_encoders.target
+
+    def trs_from_cam_at(self, target: RobotTarget) -> RigidTransform:
+        """Give where the camera is when the robot stands exactly there."""
+        return self._flange(target) * self.laboratory.flange_from_cam
 
     def stand_robot(self, target: RobotTarget, *, actual: RobotTarget) -> None:
         """Let the robot stand at ``actual`` while its encoders say ``target``."""
@@ -151,6 +164,12 @@ class World:
             self._renderer = self._make_renderer(self._load_heightmap())
         return self._renderer
 
+    def _open_renderer(self, heightmap: HeightMap) -> Renderer:
+        from tronlab.render.registry import open_renderer
+
+        surface = self.config.surface
+        return open_renderer(surface.renderer, heightmap, every_n=surface.every_n)
+
     def _flange(self, robot: RobotTarget) -> RigidTransform:
         rail_from_base = RigidTransform.from_translation(robot.rail_m * self.laboratory.rail_axis)
         return self.laboratory.trs_from_rail * rail_from_base * robot.base_from_flange
@@ -168,14 +187,8 @@ class World:
     def _render_terrain(
         self, camera: CameraModel, trs_from_cam: RigidTransform
     ) -> NDArray[np.float32]:
-        rendering = self._ready_renderer().render(
-            camera,
-            trs_from_cam,
-            self._lamp(),
-            photometry=self.config.surface.photometry,
-            rays_per_pixel=self.config.surface.rays_per_pixel,
-        )
-        return rendering.radiance
+        renderer = self._ready_renderer()
+        return renderer.render(camera, trs_from_cam, self.lamp, self.config.surface).radiance
 
     def _render_board(
         self, camera: CameraModel, trs_from_board: RigidTransform, trs_from_cam: RigidTransform
@@ -197,14 +210,8 @@ class World:
         )
         albedo = config.black_albedo + (config.white_albedo - config.black_albedo) * whiteness
         rays = centre_rays(camera)[is_board]
-        light = light_on_board(rays, trs_from_board, trs_from_cam, self._lamp())
+        light = light_on_board(rays, trs_from_board, trs_from_cam, self.lamp)
         return is_board, albedo[is_board] * light
-
-    def _lamp(self) -> Lamp:
-        return Lamp(
-            p_trs_m=self.laboratory.p_light_trs_m,
-            intensity=self.config.lamp.intensity_w_per_sr / np.pi,
-        )
 
 
 def initial_state(setup: WorldSetup) -> WorldState:
@@ -231,9 +238,3 @@ def _parked(spec: LaboratorySpec) -> RobotTarget:
         rail_m=spec.mounting.rail_range_m[0],
         base_from_flange=RigidTransform.from_components(place, turned),
     )
-
-
-def _heightfield_renderer(heightmap: HeightMap) -> Renderer:
-    from tronlab.render.heightfield import HeightfieldRenderer
-
-    return HeightfieldRenderer(heightmap)

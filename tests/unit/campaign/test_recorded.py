@@ -65,7 +65,7 @@ def test_the_database_is_rendered_as_the_campaign_said(
 ) -> None:
     text = "database: {n_views: 3, rays_per_pixel: 1}\nunknown: 1\n"
     config = recorded_database(replace(make_provenance(), campaign_yaml=text))
-    assert (config.n_views, config.rays_per_pixel, config.photometry) == (3, 1, "lambert")
+    assert (config.n_views, config.rays_per_pixel, config.photometry.kind) == (3, 1, "lambert")
     assert recorded_database(make_provenance()).rays_per_pixel == 4
     with pytest.raises(ConfigError, match="database"):
         recorded_database(replace(make_provenance(), campaign_yaml="database: {rays: 1}\n"))

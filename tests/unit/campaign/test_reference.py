@@ -1,3 +1,5 @@
+from collections.abc import Iterator, Sequence
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -8,7 +10,9 @@ from tronlab.campaign.reference import render_references
 from tronlab.dataset.records import ReferenceView
 from tronlab.errors import PlanError
 from tronlab.geometry.camera import CameraModel
+from tronlab.render.photometry import Lambert
 from tronlab.render.renderer import Lamp, Rendering
+from tronlab.render.settings import RenderSettings
 from tronlab.terrain.heightmap import HeightMap
 
 CAMERA = CameraModel(width_px=20, height_px=20, fx_px=15.0, fy_px=15.0, cx_px=9.5, cy_px=9.5)
@@ -23,21 +27,21 @@ class Scripted:
         self._radiances = list(radiances)
         self.asked: list[tuple[str, int]] = []
 
-    def render(
+    def render_batch(
         self,
         camera: CameraModel,
-        trs_from_cam: RigidTransform,
+        trs_from_cams: Sequence[RigidTransform],
         lamp: Lamp,
-        *,
-        photometry: str = "lambert",
-        rays_per_pixel: int = 1,
-    ) -> Rendering:
+        settings: RenderSettings,
+    ) -> Iterator[Rendering]:
         assert lamp is LAMP
-        self.asked.append((photometry, rays_per_pixel))
-        radiance = self._radiances.pop(0)
-        depth = np.ones(camera.shape, np.float32)
-        depth[0, 0] = np.nan
-        return Rendering(radiance, depth, np.zeros((*camera.shape, 3), np.float32), radiance > 0)
+        for _ in trs_from_cams:
+            self.asked.append((settings.photometry.kind, settings.rays_per_pixel))
+            radiance = self._radiances.pop(0)
+            depth = np.ones(camera.shape, np.float32)
+            depth[0, 0] = np.nan
+            points = np.zeros((*camera.shape, 3), np.float32)
+            yield Rendering(radiance, depth, points, radiance > 0)
 
 
 def references(renderer: Scripted, n_views: int) -> tuple[ReferenceView, ...]:
@@ -47,7 +51,7 @@ def references(renderer: Scripted, n_views: int) -> tuple[ReferenceView, ...]:
         renderer=renderer,  # pyright: ignore[reportArgumentType]
         camera=CAMERA,
         lamp=LAMP,
-        config=DatabaseConfig(n_views=n_views, rays_per_pixel=4, photometry="lambert"),
+        config=DatabaseConfig(n_views=n_views, rays_per_pixel=4, photometry=Lambert()),
     )
 
 
@@ -91,5 +95,5 @@ def test_asks_for_what_the_campaign_says() -> None:
 
 
 def test_dark_views_are_an_error() -> None:
-    with pytest.raises(PlanError, match="no reference view shows lit terrain"):
+    with pytest.raises(PlanError, match="no view shows lit terrain"):
         references(Scripted(np.zeros(CAMERA.shape, np.float32)), 1)

@@ -24,6 +24,7 @@ from tronlab.planning.examination import Examiner
 from tronlab.planning.passage import ClearanceCheck, check_clearance_along
 from tronlab.planning.shots import make_plan
 from tronlab.render.heightfield import HeightfieldRenderer
+from tronlab.render.renderer import Lamp
 from tronlab.terrain.heightmap import HeightMap
 
 REPOSITORY = Path(__file__).resolve().parents[3]
@@ -87,7 +88,7 @@ def context(*, cell: CellSpec | None = None, robot: object = None, **rules: obje
         camera=laboratory().camera.nominal_model.scaled(128),
         tmac_from_cam=flange_from_tmac.pose.inv() * flange_from_cam.pose,
         p_tracker_trs_m=np.array([1.08, 4.6, 2.8]),
-        p_lamp_trs_m=np.array(laboratory().lamp.p_trs_m),
+        lamp=Lamp(np.array(laboratory().lamp.p_trs_m), intensity=1.0),
         heightmap=heightmap(),
         renderer=renderer(),
         cell=cell or CellSpec(sight=TMAC_TO_TRACKER),
@@ -171,7 +172,7 @@ def test_each_check_refuses_what_it_is_for(where, pose, checks):
 
 
 def test_a_lamp_behind_the_robot_is_kept_from_the_model():
-    where = replace(context(), p_lamp_trs_m=np.array([1.4, 2.08, 6.0]))
+    where = replace(context(), lamp=Lamp(np.array([1.4, 2.08, 6.0]), intensity=1.0))
     result = assessed(facing(2.0), where)
     assert refusals(result) == [{"light"}]
     assert 0.02 < result.shots[0].robot_shadow < 1.0
@@ -224,14 +225,12 @@ def test_tries_are_not_more_than_asked_for(monkeypatch):
 
 
 def test_an_obstacle_may_have_the_name_of_a_part_of_the_robot():
-    where = replace(context(), p_lamp_trs_m=np.array([1.4, 2.08, 6.0]))
+    where = replace(context(), lamp=Lamp(np.array([1.4, 2.08, 6.0]), intensity=1.0))
     (alone,) = assessed(facing(2.0), where).shots
     spec = BoxSpec(low_trs_m=(-3.0, -3.0, 0.0), high_trs_m=(-2.9, -2.9, 0.1))
     envelope = EnvelopeSpec.model_validate({"obstacles": {"forearm": spec, "plate": spec}})
     cell = CellSpec(sight=TMAC_TO_TRACKER, envelope=envelope)
-    (beside,) = assessed(
-        facing(2.0), replace(context(cell=cell), p_lamp_trs_m=where.p_lamp_trs_m)
-    ).shots
+    (beside,) = assessed(facing(2.0), replace(context(cell=cell), lamp=where.lamp)).shots
     assert beside.robot_shadow == alone.robot_shadow > 0.02
 
 

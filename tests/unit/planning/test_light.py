@@ -6,7 +6,7 @@ from tronlab.geometry.poses import FloatArray, pose_along_boresight
 from tronlab.planning.collision import Box, Capsule, Solid
 from tronlab.planning.distances import Boxes
 from tronlab.planning.light import Light, light_findings, light_on_view
-from tronlab.render.renderer import Rendering
+from tronlab.render.renderer import PLAIN, Lamp, Rendering
 
 CAMERA = CameraModel(300, 300, 300.0, 300.0, 149.5, 149.5)
 ABOVE = pose_along_boresight((0.0, 0.0, 2.0), boresight=(0, 0, -1), right=(0, 1, 0))
@@ -25,7 +25,7 @@ class Plane:
     def __init__(self, lit_below_x_m: float = np.inf) -> None:
         self._lit_below_x_m = lit_below_x_m
 
-    def render(self, camera, trs_from_cam, lamp, *, photometry="lambert", rays_per_pixel=1):
+    def render(self, camera, trs_from_cam, lamp, settings=PLAIN):
         rays = np.dstack([camera.ray_table(), np.ones(camera.shape)])
         directions = rays @ trs_from_cam.rotation.as_matrix().T
         depth = np.full(camera.shape, -trs_from_cam.translation[2]) / directions[..., 2]
@@ -41,7 +41,7 @@ class Plane:
 
 def light(robot, *, plane: Plane | None = None, pose=ABOVE, lamp: FloatArray = LAMP):
     return light_on_view(
-        pose, renderer=plane or Plane(), camera=CAMERA, p_lamp_trs_m=lamp, robot=robot
+        pose, renderer=plane or Plane(), camera=CAMERA, lamp=Lamp(lamp, intensity=1.0), robot=robot
     )
 
 

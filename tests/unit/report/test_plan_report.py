@@ -227,7 +227,7 @@ def test_faces_of_a_box_have_its_area_and_edges_its_length():
 
 def test_drawn_terrain_has_the_place_and_size_of_the_model():
     stage = small_stage()
-    faces = terrain(stage.context.heightmap, stage.context.p_lamp_trs_m)
+    faces = terrain(stage.context.heightmap, stage.context.lamp.p_trs_m)
     points = faces.points_trs_m.reshape(-1, 3)
     assert points[:, :2].min(axis=0) == pytest.approx([0.0, 0.0])
     assert points[:, :2].max(axis=0) == pytest.approx([2.2, 4.2])

@@ -6,6 +6,7 @@ import pytest
 from tronlab.terrain.config import FileTerrain
 from tronlab.terrain.file import read_terrain
 from tronlab.terrain.heightmap import TerrainError
+from tronlab.terrain.raster import Raster, write_raster
 
 SETTINGS = {"size_m": (0.2, 0.3), "spacing_m": 0.002, "relief_m": 0.05}
 
@@ -133,8 +134,10 @@ def test_png_of_another_form(tmp_path, image, message):
 
 @pytest.mark.opencv
 def test_a_png_that_is_none(tmp_path):
+    import cv2
+
     path = tmp_path / "broken.png"
-    path.write_bytes(b"not an image")
+    path.write_bytes(cv2.imencode(".tif", np.zeros((20, 20), np.uint16))[1].tobytes())
     with pytest.raises(TerrainError, match=r"broken\.png: cannot be read as a PNG image"):
         read(path)
 
@@ -183,7 +186,7 @@ def test_an_object_array_is_not_unpickled(tmp_path):
 def test_another_format_names_the_allowed_ones(tmp_path):
     path = tmp_path / "map.obj"
     path.write_bytes(b"")
-    with pytest.raises(TerrainError, match=r"allowed: \.png of 16 bit, \.npy"):
+    with pytest.raises(TerrainError, match=r"allowed: \.npy, \.png of 16 bit, \.tif"):
         read(path)
 
 
@@ -197,3 +200,48 @@ def test_a_map_too_narrow_for_the_shape(tmp_path):
     np.save(path, bump(60, 60))
     with pytest.raises(TerrainError, match="leave 3 x 60, needed are at least 8 x 8"):
         read(path, size_m=(0.06, 2.0))
+
+
+def test_holes_up_to_a_width_are_filled(npy):
+    samples = np.load(npy)
+    whole = read(npy)
+    samples[20, 30:60] = np.nan
+    samples[70:74, 100:104] = np.nan
+    np.save(npy, samples)
+    announced = []
+    filled = read(npy, announced, holes_px=4)
+    np.testing.assert_allclose(filled, whole, atol=0.05 * 0.01)
+    assert announced == ["map.npy: 46 samples without a height filled from their surroundings"]
+    with pytest.raises(TerrainError, match=r"map\.npy: the hole of rows 70 to 73, columns 100 to"):
+        read(npy, holes_px=3)
+
+
+def test_what_resampling_lost_is_told_in_metres_of_the_model(tmp_path):
+    path = tmp_path / "fine.npy"
+    stripes = np.sin(2 * np.pi * np.arange(601) / 6)  # 6 samples: 3 mm, the grid has 2 mm
+    np.save(path, 1000 * np.tile(stripes, (401, 1)) + np.linspace(0, 9000, 401)[:, None])
+    announced = []
+    read(path, announced)
+    rms_mm = 1000 * np.sqrt(0.5) / 11000 * 50
+    assert float(announced[0].split()[5]) == pytest.approx(rms_mm, rel=0.1)
+    assert announced[0].startswith("fine.npy: resampling changed heights by")
+    assert announced[0].endswith("the shortest waves left are 4 mm long")
+
+
+def test_radii_of_a_planet_keep_the_digits_of_the_heights(tmp_path):
+    path = tmp_path / "radii.npy"
+    np.save(path, bump(101, 151))
+    near = read(path)
+    np.save(path, 1737400.0 + bump(101, 151))
+    np.testing.assert_allclose(read(path), near, atol=1e-8)
+
+
+def test_samples_further_apart_along_rows_keep_their_shape(tmp_path):
+    pytest.importorskip("rasterio", reason="rasterio (tronlab[geo]) is not installed")
+    path = tmp_path / "tall.tif"
+    fine = bump(101, 151)
+    write_raster(Raster(fine[::2], spacing_m=(40.0, 20.0)), path)
+    announced = []
+    expected = 0.05 * (fine - fine[::2].min()) / np.ptp(fine[::2])
+    np.testing.assert_allclose(read(path, announced), expected, atol=0.05 * 1e-3)
+    assert not any("using the middle" in line for line in announced)

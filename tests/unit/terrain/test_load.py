@@ -1,13 +1,14 @@
 import logging
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from tronlab.terrain import load
-from tronlab.terrain.config import FileTerrain, ProceduralTerrain
+from tronlab.terrain import load, tiled
+from tronlab.terrain.config import DemTerrain, FileTerrain, ProceduralTerrain
 from tronlab.terrain.heightmap import TerrainError
-from tronlab.terrain.load import load_terrain
+from tronlab.terrain.load import load_terrain, make_dem
 
 CONFIG = ProceduralTerrain(size_m=(0.1, 0.2), spacing_m=0.002, relief_m=0.02)
 
@@ -46,7 +47,7 @@ def test_the_second_time_comes_from_the_cache(announced, cache_folder, monkeypat
     second = load_again(announced=announced)
     np.testing.assert_array_equal(first.height_m, second.height_m)
     assert len(announced) == 1
-    assert [path.suffix for path in cache_folder.iterdir()] == [".npy"]
+    assert sorted(path.suffix for path in cache_folder.iterdir()) == [".json", ".npy"]
 
 
 def test_another_place_needs_no_other_heights(announced):
@@ -72,10 +73,12 @@ def test_another_generator_makes_new_heights(announced, monkeypatch):
     assert len(announced) == 2
 
 
-@pytest.mark.parametrize("damage", ["truncated", "empty", "a flipped bit", "another shape"])
+@pytest.mark.parametrize(
+    "damage", ["truncated", "empty", "a flipped bit", "another shape", "another description"]
+)
 def test_a_damaged_cache_is_made_again(announced, cache_folder, damage, caplog):
     first = load_again(announced=announced)
-    (path,) = cache_folder.iterdir()
+    (path,) = cache_folder.glob("*.npy")
     content = bytearray(path.read_bytes())
     if damage == "truncated":
         path.write_bytes(content[: len(content) // 2])
@@ -84,6 +87,8 @@ def test_a_damaged_cache_is_made_again(announced, cache_folder, damage, caplog):
     elif damage == "a flipped bit":
         content[5000] ^= 1
         path.write_bytes(content)
+    elif damage == "another description":
+        path.with_suffix(".json").write_text("{}")
     else:
         np.save(path, np.zeros((3, 3), np.float32))
     second = load_again(announced=announced)
@@ -130,3 +135,56 @@ def test_a_missing_file_says_where_it_was_looked_for(tmp_path):
 def test_a_folder_is_no_terrain_file(tmp_path):
     with pytest.raises(TerrainError, match="does not exist"):
         load_again(FileTerrain(path=tmp_path), base_dir=tmp_path)
+
+
+@pytest.fixture
+def small_memory(monkeypatch):
+    """Let a terrain of more than 20000 samples count as too large for memory."""
+    monkeypatch.setattr(load, "MAX_SAMPLES_IN_MEMORY", 20_000)
+
+
+LARGE = CONFIG.model_copy(update={"size_m": (0.4, 0.5), "relief_m": 0.03})
+
+
+def test_a_large_terrain_stays_in_the_cache(small_memory, announced, cache_folder, monkeypatch):
+    first = load_again(LARGE, announced=announced)
+    assert first.height_m.shape == LARGE.shape
+    assert first.file is not None
+    assert first.file.parent == cache_folder
+    assert first.relief_m == np.float32(0.03)
+    assert "201 x 251 samples" in announced[0]
+    n_announced = len(announced)
+    monkeypatch.setattr(tiled, "write_terrain", lambda *_, **__: pytest.fail("was made again"))
+    second = load_again(
+        LARGE.model_copy(update={"origin_trs_m": (1.0, 2.0, 3.0)}), announced=announced
+    )
+    assert len(announced) == n_announced
+    np.testing.assert_array_equal(first.height_m, second.height_m)
+    np.testing.assert_array_equal(second.origin_trs_m, [1, 2, 3])
+    assert (second.fingerprint, second.statistics) == (first.fingerprint, first.statistics)
+
+
+def test_a_large_terrain_needs_its_cache(small_memory, cache_folder, monkeypatch):
+    monkeypatch.setattr(
+        "tronlab.terrain.new_file.os.statvfs", lambda _: SimpleNamespace(f_bavail=10, f_frsize=512)
+    )
+    with pytest.raises(TerrainError, match=r"are needed and 0\.0 GB are free(?s:.*)XDG_CACHE_HOME"):
+        load_again(LARGE)
+    assert not list(cache_folder.iterdir())
+
+
+def test_a_terrain_model_of_ones_own(tmp_path, announced, small_memory):
+    dem = DemTerrain(path=Path("model.npy"))
+    for config in (CONFIG, LARGE):
+        make_dem(config, tmp_path / "model.npy", announce=announced.append)
+        heightmap = load_again(dem, base_dir=tmp_path)
+        np.testing.assert_array_equal(heightmap.origin_trs_m, config.origin_trs_m)
+        assert heightmap.height_m.shape == config.shape
+        assert heightmap.relief_m == np.float32(config.relief_m)
+        assert (heightmap.file is None) == (config is CONFIG)
+    assert len(announced) == 2
+    moved = load_again(dem.model_copy(update={"origin_trs_m": (0.0, 1.0, 2.0)}), base_dir=tmp_path)
+    np.testing.assert_array_equal(moved.origin_trs_m, [0, 1, 2])
+    np.testing.assert_array_equal(moved.height_m, heightmap.height_m)
+    with pytest.raises(TerrainError, match=r"none\.npy does not exist; a relative path"):
+        load_again(DemTerrain(path=Path("none.npy")), base_dir=tmp_path)

@@ -34,7 +34,7 @@ class UniformRenderer:
     poses: list[RigidTransform] = field(default_factory=list)
 
     def render(
-        self, camera: CameraModel, trs_from_cam: RigidTransform, lamp: Lamp, **_: Any
+        self, camera: CameraModel, trs_from_cam: RigidTransform, lamp: Lamp, *_: Any
     ) -> Rendering:
         self.poses.append(trs_from_cam)
         return Rendering(

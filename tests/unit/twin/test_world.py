@@ -7,6 +7,7 @@ from scipy.spatial.transform import RigidTransform
 from tronlab.devices.clock import SimulatedClock
 from tronlab.devices.registry import Devices
 from tronlab.geometry.uncertainty import pose_difference
+from tronlab.render.photometry import Lambert
 from tronlab.terrain.heightmap import HeightMap
 from tronlab.twin.world import World, WorldSetup
 
@@ -143,7 +144,7 @@ def test_terrain_is_loaded_once_and_when_the_camera_is_connected(spec, config):
 def test_real_renderer_sees_a_lit_flat_model_on_black_cloth(spec, config, look_at):
     """A flat Lambert model: the radiance of its pixels is albedo I cos / (pi d^2)."""
     flat = HeightMap(np.zeros((23, 43), np.float32), 0.1, np.zeros(3))
-    surface = config.surface.model_copy(update={"photometry": "lambert", "rays_per_pixel": 1})
+    surface = config.surface.model_copy(update={"photometry": Lambert(), "rays_per_pixel": 1})
     config = config.model_copy(update={"surface": surface})
     world = World(WorldSetup(config, spec, lambda: flat))
     world.state.change(lamp_level=1.0)

@@ -1,11 +1,11 @@
-"""Depth and shadows against Embree on the same triangles."""
+"""The reference renderer's depth and shadows against Embree on the same triangles."""
 
 import numpy as np
 import pytest
 
 from tronlab.geometry.poses import pose_along_boresight
-from tronlab.render.heightfield import HeightfieldRenderer
 from tronlab.render.rays import centre_rays
+from tronlab.render.reference import ReferenceRenderer
 from tronlab.render.renderer import Lamp
 
 pytest.importorskip("embreex", reason="embreex is built for x86-64 only")
@@ -77,7 +77,7 @@ def embree(heightmap):
 
 @pytest.fixture(scope="module")
 def renderer(heightmap):
-    return HeightfieldRenderer(heightmap)
+    return ReferenceRenderer(heightmap)
 
 
 def directions_trs(camera, trs_from_cam):

@@ -1,0 +1,1 @@
+"""Blender's path tracer, in a process of its own."""

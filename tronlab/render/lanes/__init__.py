@@ -1,0 +1,1 @@
+"""Rays followed together, lane by lane: what makes the fast renderer fast."""

@@ -1,0 +1,1 @@
+"""File formats of height maps and meshes, one module each."""
