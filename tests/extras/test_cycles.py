@@ -226,7 +226,7 @@ def test_blender_ends_with_us_in_the_middle_of_an_image(tmp_path, signal_) -> No
         import numpy as np
         from tronlab.geometry.camera import CameraModel
         from tronlab.geometry.poses import pose_along_boresight
-        from tronlab.render import cycles
+        from tronlab.render.cycles import renderer as cycles
         from tronlab.render.renderer import Lamp
         from tronlab.terrain.heightmap import HeightMap
         cycles.SPHERE_SAMPLES = 1_000_000

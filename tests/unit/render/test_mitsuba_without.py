@@ -7,7 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tronlab.render import memory, mitsuba_backend, mitsuba_photometry, photometry
+from tronlab.render import memory, photometry
+from tronlab.render.mitsuba import backend as mitsuba_backend
+from tronlab.render.mitsuba import photometry as mitsuba_photometry
 from tronlab.render.mitsuba.renderer import open_mitsuba
 from tronlab.render.mitsuba.scene import check_terrain_fits
 from tronlab.render.photometry import Hapke, Lambert, LommelSeeliger, LunarLambert
