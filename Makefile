@@ -15,6 +15,7 @@ demo: .venv/ready
 	$(BIN)/tronlab demo --out $(OUT)
 
 test: .venv/ready $(OPENCV4)/ready lint types
+	$(BIN)/python tests/support/compile_kernels.py
 	$(BIN)/pytest -n auto
 	PYTHONPATH=$(OPENCV4) $(BIN)/pytest -n auto -m opencv
 

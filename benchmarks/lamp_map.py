@@ -2,7 +2,7 @@
 
     python benchmarks/lamp_map.py [--repeats 7] [--picture FILE.png]
 
-Shadows are compared on every node with a ray to the lamp from OFFSET_M off the surface along the
+Shadows are compared on every node with a ray to the lamp from just off the surface along the
 normal of a triangle at the node. Penumbras are compared on random nodes with rays to 256 points of
 the disk that faces the node. Nodes that face away from the lamp are counted as well.
 """
@@ -17,7 +17,8 @@ import numpy as np
 from tronlab.render.kernels import kernel
 from tronlab.render.lamp.map import LampMaps
 from tronlab.render.lamp.prefilter import make_pyramid
-from tronlab.render.lamp.sweep import OFFSET_M, sweep
+from tronlab.render.lamp.sweep import sweep
+from tronlab.render.lighting import SHADOW_OFFSET_M
 from tronlab.render.quadtree import make_grid
 from tronlab.render.raycast import MISSED, first_hit
 from tronlab.render.renderer import Lamp
@@ -42,9 +43,9 @@ def trace_nodes(grid, lamp, points, nodes, shares, part, n_parts):  # noqa: PLR0
     for n in range(part, nodes.shape[0], n_parts):
         i, j = nodes[n, 0], nodes[n, 1]
         normal_x, normal_y, normal_z = facet_normal(grid, float(i), float(j))
-        r = i + normal_x * OFFSET_M / grid.spacing_m
-        c = j + normal_y * OFFSET_M / grid.spacing_m
-        z = grid.height_m[i, j] + normal_z * OFFSET_M
+        r = i + normal_x * SHADOW_OFFSET_M / grid.spacing_m
+        c = j + normal_y * SHADOW_OFFSET_M / grid.spacing_m
+        z = grid.height_m[i, j] + normal_z * SHADOW_OFFSET_M
         x, y = (lamp[0] - r) * grid.spacing_m, (lamp[1] - c) * grid.spacing_m
         rise = lamp[2] - z
         level = max(np.hypot(x, y), 1e-9)

@@ -11,6 +11,7 @@ import pytest
 from command import tronlab
 
 from tronlab.campaign.rig import load_rig
+from tronlab.render.cycles.process import PYTHON_VARIABLE
 
 pytestmark = pytest.mark.opencv
 EditYaml = Callable[..., None]
@@ -60,7 +61,7 @@ def test_another_renderer_shows_the_same_terrain(campaign_path: Path, tmp_path: 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--renderer", "povray"), "error: renderer is 'povray', must be one of ["),
+        (("--renderer", "povray"), "error: no renderer 'povray'; known renderers: cycles, "),
         (("--shots", "9"), "error: --shots: the campaign has no shot 9; it has 1 to 5"),
         (("--shots", "two"), "error: "),
     ],
@@ -80,6 +81,20 @@ def test_folder_in_use_is_left_alone(campaign_path: Path, tmp_path: Path) -> Non
     assert answer.returncode == 2
     assert "--out used: exists and is not empty, nothing is overwritten" in answer.stderr
     assert [path.name for path in (tmp_path / "used").iterdir()] == ["mine.txt"]
+
+
+def test_what_a_renderer_cannot_do_leaves_nothing(
+    campaign_path: Path, tmp_path: Path, edit_yaml: EditYaml, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    edit_yaml(campaign_path, "database.photometry", "hapke")
+    python = tmp_path / "python"
+    python.touch()
+    monkeypatch.setenv(PYTHON_VARIABLE, str(python))
+    arguments = ("--images", "database", "--renderer", "cycles")
+    answer = tronlab("render", campaign_path, *arguments, cwd=tmp_path)
+    assert answer.returncode == 2
+    assert "error: renderer cycles: photometry is 'hapke', must be 'lambert'" in answer.stderr
+    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(

@@ -221,7 +221,9 @@ def test_blender_reads_the_quaternion_as_we_write_it() -> None:
 @pytest.mark.parametrize("signal_", [signal.SIGKILL, signal.SIGINT])
 def test_blender_ends_with_us_in_the_middle_of_an_image(tmp_path, signal_) -> None:
     program = f"""
-        import tempfile
+        import signal, tempfile
+        # A shell that starts tests in the background has them ignore Ctrl-C.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         tempfile.tempdir = {str(tmp_path)!r}
         import numpy as np
         from tronlab.geometry.camera import CameraModel

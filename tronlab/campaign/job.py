@@ -1,7 +1,6 @@
 """Everything a run reads from files, checked against each other before a device is asked."""
 
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,8 +13,8 @@ from tronlab.dataset.places import images_folder, journal_path, lock_path, part_
 from tronlab.errors import CalibrationError, ConfigError, PlanError
 from tronlab.nav.cores import known_cores
 from tronlab.planning.shots import Plan, database_indices, make_plan
-from tronlab.render.registry import renderer_names
-from tronlab.render.renderer import Lamp, lamp_as_designed
+from tronlab.render.registry import check_renderer
+from tronlab.render.renderer import Lamp, RenderError, lamp_as_designed
 from tronlab.trajectory.poses import camera_poses
 from tronlab.yaml_models import read_text
 
@@ -106,8 +105,7 @@ def new_dataset_path(out_dir: Path) -> Path:
     Raises:
         ConfigError: It is a file, is in use, or cannot be made.
     """
-    if out_dir.exists() and not out_dir.is_dir():
-        raise ConfigError(f"--out {out_dir}: is a file, expected a folder; name another with --out")
+    check_can_be_made(out_dir)
     if (out_dir / DATASET_NAME).exists():
         raise ConfigError(
             f"--out {out_dir}: exists and is not empty, nothing is overwritten; name another folder"
@@ -120,13 +118,23 @@ def new_dataset_path(out_dir: Path) -> Path:
             f"--out {out_dir}: exists and is not empty, nothing is overwritten;"
             " name another folder with --out"
         )
+    return path
+
+
+def check_can_be_made(out_dir: Path) -> None:
+    """Refuse a folder that is a file, or that cannot be made or written to.
+
+    Raises:
+        ConfigError: It is so.
+    """
+    if out_dir.exists() and not out_dir.is_dir():
+        raise ConfigError(f"--out {out_dir}: is a file, expected a folder; name another with --out")
     nearest = next(path for path in (out_dir, *out_dir.absolute().parents) if path.exists())
     if not (nearest.is_dir() and os.access(nearest, os.W_OK)):
         raise ConfigError(
             f"--out {out_dir}: cannot be made, {nearest} is no folder that can be written to;"
             " name another folder with --out"
         )
-    return path
 
 
 def _check_cores(campaign: Campaign) -> None:
@@ -141,17 +149,16 @@ def _check_cores(campaign: Campaign) -> None:
 
 
 def _check_renderers(campaign: Campaign, rig: Rig) -> None:
-    known = renderer_names()
-    name = campaign.config.database.renderer
-    if name not in known:
-        raise campaign.error(_no_renderer(name, known), "database", "renderer")
+    try:
+        check_renderer(campaign.config.database.renderer)
+    except RenderError as error:
+        raise campaign.error(str(error), "database", "renderer") from None
     world = rig.config.world
-    if world is not None and world.surface.renderer not in known:
-        raise rig.error(_no_renderer(world.surface.renderer, known), "world", "surface", "renderer")
-
-
-def _no_renderer(name: str, known: Sequence[str]) -> str:
-    return f"no renderer '{name}'; known renderers: {', '.join(known)}"
+    try:
+        if world is not None:
+            check_renderer(world.surface.renderer)
+    except RenderError as error:
+        raise rig.error(str(error), "world", "surface", "renderer") from None
 
 
 def _check_references(campaign: Campaign, n_poses: int) -> None:

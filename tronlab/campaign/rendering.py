@@ -1,7 +1,8 @@
 """Images of a campaign without taking it: rendered from its nominal poses into a folder."""
 
 import csv
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from tronlab.campaign.job import Job
+from tronlab.campaign.job import Job, check_can_be_made
 from tronlab.campaign.reference import GreyScale
 from tronlab.errors import ConfigError
 from tronlab.geometry.camera import CameraModel
@@ -60,18 +61,14 @@ class View:
     mean_radiance: float
 
 
-def new_folder(out: Path) -> Path:
-    """Give a folder that is new or empty.
+def check_new_folder(out: Path) -> Path:
+    """Give the folder if it is new or empty; it is not made yet.
 
     Raises:
         ConfigError: It is a file, is in use, or cannot be made.
     """
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        is_used = any(out.iterdir())
-    except OSError as error:
-        raise ConfigError(f"--out {out}: cannot be made: {error.strerror}") from error
-    if is_used:
+    check_can_be_made(out)
+    if out.exists() and any(out.iterdir()):
         raise ConfigError(
             f"--out {out}: exists and is not empty, nothing is overwritten;"
             " name another folder with --out"
@@ -117,17 +114,15 @@ def render_scene(
 
     Args:
         scene: What to render.
-        folder: Where to; it exists and is empty.
+        folder: Where to; it is made with the first view.
         on_view: Told (views done, views in all) after each.
 
     Raises:
         RenderError: The renderer cannot do what is asked.
         PlanError: No view shows any lit terrain.
+        ConfigError: A file cannot be written.
     """
-    for name in ("images", "radiance", "depth"):
-        (folder / name).mkdir()
     poses = list(scene.poses.values())
-    write_poses(folder / POSES_NAME, poses)
     views: list[View] = []
     samples: list[NDArray[np.float32]] = []
     renderings = scene.renderer.render_batch(scene.camera, poses, scene.lamp, scene.settings)
@@ -140,7 +135,9 @@ def render_scene(
         views.append(_view(view_id, pose, image_path, rendering, radiance))
         on_view(len(views), len(poses))
     _write_images(views, folder, GreyScale.of(samples))
-    _write_table(views, folder / VIEWS_NAME)
+    with _writing(folder):
+        write_poses(folder / POSES_NAME, poses)
+        _write_table(views, folder / VIEWS_NAME)
     return tuple(views)
 
 
@@ -192,7 +189,17 @@ def _write(path: Path, pixels: NDArray[Any]) -> None:
     import cv2
 
     _, data = cv2.imencode(path.suffix, pixels)
-    path.write_bytes(data.tobytes())
+    with _writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(data.tobytes())
+
+
+@contextmanager
+def _writing(path: Path) -> Generator[None, None, None]:
+    try:
+        yield
+    except OSError as error:
+        raise ConfigError(f"--out: {path} cannot be written: {error.strerror}") from error
 
 
 def _read_tiff(path: Path) -> NDArray[np.float32]:

@@ -98,20 +98,25 @@ def render(
     from tronlab.campaign.continuation import parse_shot_ids
     from tronlab.campaign.job import DEFAULT_OUT_DIR, Files, read_job
     from tronlab.campaign.live import open_live
-    from tronlab.campaign.rendering import new_folder
+    from tronlab.campaign.rendering import check_new_folder
+    from tronlab.render.registry import check_renderer
 
     shot_ids = None if shots is None else parse_shot_ids(shots)
+    if renderer is not None:
+        check_renderer(renderer)
+    folder: Path | None = None
     try:
         with open_live(sys.stderr) as live:
             acceptance = Acceptance(accept_calibration, warn=live.announce)
             job = read_job(Files(campaign, rig, calibration), seed=None, acceptance=acceptance)
+            folder = check_new_folder(out or DEFAULT_OUT_DIR / f"{job.campaign.name}-images")
             choice = _Choice(renderer, every_n)
             scenes = _Scenes(job, live, choice=choice, shot_ids=shot_ids)
-            wanted = scenes.of(images)
-            folder = new_folder(out or DEFAULT_OUT_DIR / f"{job.campaign.name}-images")
-            lines = [_render(scene, folder / scene.name, live) for scene in wanted]
+            lines = [_render(scene, folder / scene.name, live) for scene in scenes.of(images)]
     except KeyboardInterrupt:
-        typer.echo("interrupted: radiance and depth of the views so far are there", err=True)
+        is_begun = folder is not None and any(folder.glob("*/depth"))
+        so_far = f": radiance and depth of the views so far are in {folder}" if is_begun else ""
+        typer.echo(f"interrupted{so_far}", err=True)
         raise typer.Exit(INTERRUPTED) from None
     for line in lines:
         typer.echo(line)
@@ -222,7 +227,6 @@ def _render(scene: "Scene", folder: Path, live: "Live") -> str:
     from tronlab.campaign.rendering import render_scene
     from tronlab.report.renderings import save_contact_sheet
 
-    folder.mkdir()
     stage = f"{scene.name} images"
     live.advance(stage, n_done=0, n_all=len(scene.poses))
     begun_s = time.perf_counter()

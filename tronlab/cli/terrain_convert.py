@@ -8,6 +8,7 @@ import typer
 
 from tronlab.cli.exit_codes import INTERRUPTED
 from tronlab.cli.terrain_files import Force, HeightUnit
+from tronlab.terrain.lengths import length_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -55,7 +56,7 @@ def convert(
         float | None, typer.Option(metavar="M", help="Resample to this distance of samples.")
     ] = None,
     every: Annotated[
-        int, typer.Option(min=1, metavar="N", help="Of a mesh: use every N-th sample.")
+        int, typer.Option(min=1, metavar="N", help="Of a mesh alone: use every N-th sample.")
     ] = 1,
     force: Force = False,
 ) -> None:
@@ -72,7 +73,7 @@ def convert(
     from tronlab.terrain.conversion import Conversion
     from tronlab.terrain.conversion import convert as convert_raster
 
-    check_out_suffix(out)
+    _check_out(out, every)
     beside = [out.with_suffix(".json")] if out.suffix == ".npy" else []
     check_new(out, *beside, force=force)
     wanted = Conversion(fill_holes_px, size_m, relief_m, spacing_m)
@@ -113,11 +114,11 @@ def _made_by(source: "TerrainSource", path: Path, steps: "Mapping[str, Any]") ->
     return {"kind": "converted", "path": str(path), **taken, "source": dict(source.made_by)}
 
 
-def check_out_suffix(out: Path) -> None:
-    """Refuse a format that cannot be written.
+def _check_out(out: Path, every: int) -> None:
+    """Refuse a format that cannot be written, and a coarser mesh that is no mesh.
 
     Raises:
-        TerrainError: The suffix is that of no such format.
+        TerrainError: The suffix is that of no such format, or of one without ``--every``.
     """
     from tronlab.terrain.heightmap import TerrainError
     from tronlab.terrain.raster import MESH_SUFFIXES, WRITABLE_SUFFIXES
@@ -125,6 +126,11 @@ def check_out_suffix(out: Path) -> None:
     allowed = (*WRITABLE_SUFFIXES, *MESH_SUFFIXES)
     if out.suffix.lower() not in allowed:
         raise TerrainError(f"{out}: cannot be written (allowed: {', '.join(allowed)})")
+    if every != 1 and out.suffix.lower() not in MESH_SUFFIXES:
+        raise TerrainError(
+            f"{out}: --every {every} is for meshes ({', '.join(MESH_SUFFIXES)}); --spacing-m makes"
+            " heights coarser"
+        )
 
 
 def _write(source: "TerrainSource", out: Path, live: "Live", *, every: int, n_filled: int) -> str:
@@ -148,12 +154,14 @@ def _write(source: "TerrainSource", out: Path, live: "Live", *, every: int, n_fi
         heightmap = heightmap_of(raster, source.origin_trs_m, announce=live.announce)
         save_dem(out, heightmap, made_by=source.made_by, n_holes_filled=n_filled)
         return f"terrain: {out}, {_shape(raster)}, origin {_triple(heightmap.origin_trs_m)} m"
-    return f"terrain: {out}, {_shape(raster)}\n{write_raster(raster, out)}"
+    lines = [f"terrain: {out}, {_shape(raster)}", str(write_raster(raster, out))]
+    if source.origin_trs_m.any():
+        origin = _triple(source.origin_trs_m)
+        lines.append(f"not kept in this format: the origin {origin} m in trs")
+    return "\n".join(lines)
 
 
 def _shape(raster: "Raster") -> str:
-    from tronlab.report.terrain_maps import length_text
-
     rows, columns = raster.height_m.shape
     if raster.spacing_m is None:
         return f"{rows} x {columns} samples"

@@ -1,5 +1,6 @@
 """What the commands ``tronlab terrain`` write."""
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -13,10 +14,10 @@ HeightUnit = Annotated[
 
 
 def check_new(*paths: Path, force: bool) -> None:
-    """Refuse to write over a file, or into a folder that is not there.
+    """Refuse to write over a file, or into a folder that is not there or not ours to write to.
 
     Raises:
-        TerrainError: A file exists and ``force`` is not set, or a folder is missing.
+        TerrainError: A file exists and ``force`` is not set, or a folder is missing or protected.
     """
     from tronlab.terrain.heightmap import TerrainError
 
@@ -27,6 +28,8 @@ def check_new(*paths: Path, force: bool) -> None:
             raise TerrainError(f"{path}: exists already; --force replaces it")
         if not path.parent.is_dir():
             raise TerrainError(f"{path}: there is no folder {path.parent}; make it first")
+        if not os.access(path.parent, os.W_OK):
+            raise TerrainError(f"{path}: the folder {path.parent} cannot be written to")
 
 
 def check_dem_name(out: Path) -> None:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tronlab.cli.terrain_files import HeightUnit
+from tronlab.terrain.lengths import height_unit, length_text
 
 if TYPE_CHECKING:
     from tronlab.cli.terrain_source import TerrainSource
@@ -99,8 +100,8 @@ def _roughness(source: "TerrainSource") -> dict[str, Any]:
 
 
 def _craters(asked: "ProceduralTerrain") -> dict[str, Any]:
-    """Give the law of the craters, how many were drawn and how many it lets expect."""
-    from tronlab.terrain.crater_counts import count_craters, craters_of, law_per_m2
+    """Give the law of the craters, how many were drawn and how many are to be expected."""
+    from tronlab.terrain.crater_counts import count_craters, craters_of, n_expected
 
     counts = count_craters(craters_of(asked), asked.size_m, asked.crater_smallest_m)
     return {
@@ -109,7 +110,7 @@ def _craters(asked: "ProceduralTerrain") -> dict[str, Any]:
         "smallest_m": asked.crater_smallest_m,
         "largest_m": asked.crater_largest_m,
         "n_drawn": int(counts.n_craters[0]),
-        "n_expected": float(law_per_m2(asked, counts.diameter_m[:1])[0]) * counts.area_m2,
+        "n_expected": n_expected(asked, counts),
     }
 
 
@@ -120,7 +121,7 @@ def as_text(measured: dict[str, Any]) -> str:
         "made": _made(measured["made_by"]),
         "samples": _samples(measured),
         "size": _size(measured),
-        "memory": f"{measured['bytes_as_float32'] / 1e6:.1f} MB as float32",
+        "memory": f"{measured['bytes_as_float32'] / 1e6:.2g} MB as float32",
         "heights": _heights(measured),
         "holes": f"{measured['n_holes']} samples" if measured["n_holes"] else "none",
         "crs": _crs(measured),
@@ -150,8 +151,6 @@ def _made(made_by: dict[str, Any]) -> str:
 
 
 def _samples(measured: dict[str, Any]) -> str:
-    from tronlab.report.terrain_maps import length_text
-
     rows, columns = measured["shape"]
     if measured["spacing_m"] is None:
         return f"{rows} x {columns}, the file does not say how far apart"
@@ -161,16 +160,12 @@ def _samples(measured: dict[str, Any]) -> str:
 
 
 def _size(measured: dict[str, Any]) -> str:
-    from tronlab.report.terrain_maps import length_text
-
     if measured["size_m"] is None:
         return ""
     return " x ".join(map(length_text, measured["size_m"])) + " along X and Y"
 
 
 def _heights(measured: dict[str, Any]) -> str:
-    from tronlab.report.terrain_maps import height_unit
-
     lowest, highest, mean = (measured[key] for key in ("lowest", "highest", "mean"))
     if lowest is None:
         return "nothing but holes"
@@ -207,8 +202,6 @@ def _slope(slope: dict[str, float] | None) -> str:
 
 
 def _hurst(hurst: dict[str, Any] | None) -> str:
-    from tronlab.report.terrain_maps import length_text
-
     if hurst is None:
         return "-"
     shortest, longest = map(length_text, hurst["range_m"])
@@ -216,15 +209,13 @@ def _hurst(hurst: dict[str, Any] | None) -> str:
 
 
 def _crater_line(craters: dict[str, Any] | None) -> str:
-    from tronlab.report.terrain_maps import length_text
-
     if craters is None:
         return ""
     smallest, largest = (length_text(craters[key]) for key in ("smallest_m", "largest_m"))
     return (
-        f"{craters['n_drawn']} of {smallest} to {largest} on the model; the law"
-        f" {craters['density_per_m2']:g} (D / 1 m)^-{craters['exponent']:g} per m2 lets"
-        f" {craters['n_expected']:.0f} expect"
+        f"{craters['n_drawn']} of {smallest} to {largest} on the model;"
+        f" {craters['n_expected']:.0f} expected by the law"
+        f" {craters['density_per_m2']:g} (D / 1 m)^-{craters['exponent']:g} per m2"
     )
 
 

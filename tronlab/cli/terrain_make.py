@@ -106,12 +106,14 @@ def _named(path: Path | None, options: "Mapping[str, Any]") -> "NamedTerrain":
 
 
 def _write(named: "NamedTerrain", out: Path, announce: "Callable[[str], None]") -> None:
+    from tronlab.cli.terrain_source import tell_of_albedo
     from tronlab.terrain.config import DemTerrain, ProceduralTerrain
     from tronlab.terrain.dem import save_dem
     from tronlab.terrain.heightmap import TerrainError
     from tronlab.terrain.load import load_terrain, make_dem
 
     config = named.config
+    tell_of_albedo(config, announce)
     if isinstance(config, ProceduralTerrain):
         make_dem(config, out, announce=announce)
     elif isinstance(config, DemTerrain):

@@ -120,12 +120,19 @@ def _of_yaml(path: Path, window: "Window | None", announce: Callable[[str], None
 
     named = read_yaml(path)
     heightmap = load_terrain(named.config, base_dir=named.base_dir, announce=announce)
+    tell_of_albedo(named.config, announce)
     made_by = named.config.model_dump(mode="json")
     if isinstance(named.config, DemTerrain):
         made_by = describe_dem(named.base_dir / named.config.path).made_by
     raster, origin_trs_m = _part(heightmap, window, path)
     asked = procedural_settings(made_by) if window is None else None
     return TerrainSource(named.name, raster, origin_trs_m, made_by, asked, named.p_lamp_trs_m)
+
+
+def tell_of_albedo(config: "TerrainConfig", announce: Callable[[str], None]) -> None:
+    """Say that these commands work on heights alone, if the terrain is painted."""
+    if config.albedo_map is not None:
+        announce(f"only heights are used: the albedo map {config.albedo_map} belongs to the rig")
 
 
 def _of_dem(path: Path, window: "Window | None") -> TerrainSource:

@@ -78,8 +78,9 @@ def _subject(source: "TerrainSource", path: Path) -> "TerrainSubject":
     raster = source.raster
     if raster.spacing_m is None or not raster.has_unit:
         what = "spacing" if raster.has_unit else "unit of height"
+        unit = "" if raster.spacing_m is None else "give it with --height-unit-m, or "
         raise TerrainError(
-            f"{path}: does not say its {what}, which slopes need; make a model of it first:"
+            f"{path}: does not say its {what}, which slopes need; {unit}make a model of it first:"
             f" tronlab terrain convert {path} NAME.npy --size-m X Y --relief-m Z"
         )
     return TerrainSubject(

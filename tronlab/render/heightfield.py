@@ -49,7 +49,11 @@ class HeightfieldRenderer(ReferenceRenderer):
         """Build the quadtree; arguments and errors as ``ReferenceRenderer``."""
         super().__init__(heightmap, announce=announce, n_threads=n_threads)
         self._lamp_maps = LampMaps(
-            self._grid, self._origin_trs_m, self._albedo, n_threads=self._n_threads
+            self._grid,
+            self._origin_trs_m,
+            self._albedo,
+            fingerprint=heightmap.fingerprint,
+            n_threads=self._n_threads,
         )
 
     def render(
@@ -74,13 +78,14 @@ class HeightfieldRenderer(ReferenceRenderer):
             points_trs_m=np.empty((*camera.shape, 3), dtype=np.float32),
             is_lit=np.empty(camera.shape, dtype=np.bool_),
         )
+        is_map = settings.shadows == "map"
         run_interleaved(
             render_tiles,
             self._grid,
             self._view(trs_from_cam, settings),
             self._light(lamp, settings),
-            map_view(self._lamp_maps.of(lamp)) if settings.shadows == "map" else None,
-            True if settings.shadows == "rays" else None,
+            map_view(self._lamp_maps.of(lamp), lamp.radius_m) if is_map else None,
+            None if is_map else True,
             ray_tiles(camera, settings.rays_per_pixel),
             _pitch(camera, settings),
             (rendering.radiance, rendering.depth_m, rendering.points_trs_m, rendering.is_lit),

@@ -16,8 +16,10 @@ from tronlab.render.raycast import MISSED, first_hit
 from tronlab.render.shadow_reach import shadow_reach
 from tronlab.render.surface import Cone, albedo_at, cone_factor, facet_normal, smooth_normal
 
+SHADOW_OFFSET_M = 1e-7
+"""Light is looked for from this far above the surface, along the normal: well over what rounding
+leaves of a place on it, and far below what can be seen."""
 _SHADOW_LEVEL = np.int64(1)
-_SHADOW_OFFSET_M = 2e-5
 _GOLDEN_ANGLE_RAD = np.pi * (3.0 - np.sqrt(5.0))
 _N_DISK_POINTS = 128
 
@@ -101,9 +103,9 @@ def _visible_share(grid, light, r, c, z, to_lamp):
     The lamp is taken as the disk about its centre that faces the point.
     """
     normal = facet_normal(grid, r, c)
-    r += normal[0] * _SHADOW_OFFSET_M / grid.spacing_m
-    c += normal[1] * _SHADOW_OFFSET_M / grid.spacing_m
-    z += normal[2] * _SHADOW_OFFSET_M
+    r += normal[0] * SHADOW_OFFSET_M / grid.spacing_m
+    c += normal[1] * SHADOW_OFFSET_M / grid.spacing_m
+    z += normal[2] * SHADOW_OFFSET_M
     right, up = _across(to_lamp)
     reach = 1.0
     if light.shadow_reaches.shape[0] > 0:

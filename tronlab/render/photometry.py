@@ -91,7 +91,10 @@ def _named(value: Any) -> Any:
 Photometry: TypeAlias = Annotated[
     Lambert | LommelSeeliger | LunarLambert | Hapke, Field(discriminator="kind")
 ]
-PhotometryField: TypeAlias = Annotated[Photometry, BeforeValidator(_named)]
+_Name: TypeAlias = Literal["lambert", "lommel_seeliger", "lunar_lambert", "hapke"]
+PhotometryField: TypeAlias = Annotated[
+    Photometry, BeforeValidator(_named, json_schema_input_type=_Name | Photometry)
+]
 """As a YAML file has it: a name, or a mapping with ``kind`` and the function's parameters."""
 
 

@@ -37,6 +37,17 @@ def renderer_names() -> list[str]:
     return sorted({point.name for point in entry_points(group=GROUP)})
 
 
+def check_renderer(name: str) -> None:
+    """Refuse a renderer that nobody knows.
+
+    Raises:
+        RenderError: There is none of that name.
+    """
+    known = renderer_names()
+    if name not in known:
+        raise RenderError(f"no renderer '{name}'; known renderers: {', '.join(known)}")
+
+
 def open_renderer(
     name: str,
     heightmap: HeightMap,
@@ -56,7 +67,7 @@ def open_renderer(
         RenderError: There is no renderer of that name, or what it needs is not installed.
         TerrainError: ``every_n`` leaves nothing of the terrain.
     """
-    for point in entry_points(group=GROUP, name=name):
-        make: OpenRenderer = point.load()
-        return make(heightmap.thinned(every_n), announce=announce)
-    raise RenderError(f"renderer is {name!r}, must be one of {renderer_names()}")
+    check_renderer(name)
+    (point, *_) = entry_points(group=GROUP, name=name)
+    make: OpenRenderer = point.load()
+    return make(heightmap.thinned(every_n), announce=announce)

@@ -1,6 +1,5 @@
 """The sheet that shows a terrain: maps above, charts below."""
 
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,11 +21,13 @@ from tronlab.report.terrain_charts import (
     draw_slope_shares,
     draw_spectrum,
 )
-from tronlab.report.terrain_maps import TerrainMap, draw_relief, draw_slopes, length_text
+from tronlab.report.terrain_maps import TerrainMap, draw_relief, draw_slopes
 from tronlab.terrain.config import ProceduralTerrain
 from tronlab.terrain.crater_counts import count_craters, craters_of
 from tronlab.terrain.formats.model import Heights
+from tronlab.terrain.formats.writing import written_whole
 from tronlab.terrain.heightmap import TerrainError
+from tronlab.terrain.lengths import length_text
 from tronlab.terrain.overview import overview
 from tronlab.terrain.statistics import (
     SelfAffine,
@@ -110,15 +111,8 @@ def save_sheet(figure: Figure, path: Path) -> None:
         TerrainError: It is another suffix, or the file cannot be written.
     """
     check_suffix(path)
-    draft = path.with_name(f".{path.stem}-{os.getpid()}{path.suffix}")
-    try:
-        with style_context():
-            _print(figure, draft)
-        draft.replace(path)
-    except OSError as error:
-        raise TerrainError(f"{path}: cannot be written: {error.strerror or error}") from error
-    finally:
-        draft.unlink(missing_ok=True)
+    with written_whole(path) as draft, style_context():
+        _print(figure, draft)
 
 
 def _print(figure: Figure, path: Path) -> None:

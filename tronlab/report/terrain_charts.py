@@ -8,9 +8,9 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from tronlab.geometry.poses import FloatArray
 from tronlab.report.style import note
-from tronlab.report.terrain_maps import height_unit, length_text
 from tronlab.terrain.config import ProceduralTerrain
-from tronlab.terrain.crater_counts import CraterCounts, law_per_m2
+from tronlab.terrain.crater_counts import CraterCounts, law_per_m2, n_expected
+from tronlab.terrain.lengths import height_unit, length_text
 from tronlab.terrain.statistics import (
     Deviogram,
     PowerLaw,
@@ -82,7 +82,7 @@ def draw_profile(axes: Axes, y_m: FloatArray, height_m: FloatArray, x_m: float) 
     axes.set_xlim(y_m[0], y_m[-1])
     axes.set_xlabel("Y [m]")
     axes.set_ylabel(f"Z [{unit}]")
-    axes.set_title(f"profile at X = {x_m:.4g} m, the line in the relief", loc="left")
+    axes.set_title(f"profile at X = {x_m:.5g} m, the line in the relief", loc="left")
     axes.grid()
 
 
@@ -122,7 +122,7 @@ def draw_crater_counts(axes: Axes, counts: CraterCounts, config: ProceduralTerra
 def crater_verdict(counts: CraterCounts, config: ProceduralTerrain) -> str:
     """Say how many craters there are and were asked for, and how unlikely the difference is."""
     n_drawn = int(counts.n_craters[0])
-    n_asked = float(law_per_m2(config, counts.diameter_m[:1])[0]) * counts.area_m2
+    n_asked = n_expected(config, counts)
     sigmas = (n_drawn - n_asked) / np.sqrt(n_asked) if n_asked > 0 else 0.0
     return f"{n_drawn} craters, law: {n_asked:.0f}, difference {sigmas:+.1f} sigma"
 

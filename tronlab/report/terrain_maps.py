@@ -12,6 +12,7 @@ from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
 from tronlab.geometry.poses import FloatArray
+from tronlab.terrain.lengths import height_unit, length_text
 
 HEIGHT_COLOURS = "cividis"
 SLOPE_COLOURS = "inferno"
@@ -124,20 +125,6 @@ def draw_slopes(axes: Axes, terrain: TerrainMap) -> None:
     axes.set_facecolor(HOLE_COLOUR)
     _colour_bar(axes, image, f"slope over {length_text(base_m)} [deg]", extend="max")
     _label(axes)
-
-
-def height_unit(relief_m: float) -> tuple[float, str]:
-    """Give the factor from metres, and the name, of a unit fit for heights."""
-    return (1e3, "mm") if relief_m < 1.0 else (1.0, "m")
-
-
-def length_text(length_m: float) -> str:
-    """Give a length with a unit that keeps its number short."""
-    for least_m, unit_m, unit in ((1e3, 1e3, "km"), (1.0, 1.0, "m"), (1e-4, 1e-3, "mm")):
-        if length_m >= least_m:
-            number = length_m / unit_m
-            return f"{number:.4g} {unit}" if number < 1e4 else f"{number:.0f} {unit}"
-    return f"{length_m / 1e-6:.3g} um"
 
 
 def round_length(most_m: float) -> float:

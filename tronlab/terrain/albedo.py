@@ -28,7 +28,9 @@ def read_albedo(path: Path, shape: tuple[int, int]) -> NDArray[np.uint16]:
     import cv2
 
     if not path.is_file():
-        raise TerrainError(f"albedo map {path} does not exist")
+        raise TerrainError(
+            f"albedo map {path} does not exist; a relative path starts from the rig file's folder"
+        )
     picture: Any = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if picture is None:
         raise TerrainError(f"albedo map {path}: cannot be read as a picture (allowed: {_ALLOWED})")

@@ -9,7 +9,7 @@ from tronlab.geometry.poses import FloatArray
 from tronlab.terrain.formats.model import Announce, Raster
 from tronlab.terrain.heightmap import HeightMap, HeightStatistics, TerrainError
 from tronlab.terrain.holes import fill_holes
-from tronlab.terrain.resampling import middle_of_shape, resample, resample_to_spacing
+from tronlab.terrain.resampling import cut_to_shape, resample, resample_to_spacing
 from tronlab.terrain.statistics import known_heights
 
 _SAME_SPACING = 1e-6
@@ -133,15 +133,8 @@ def _laid_on(
     n_rows, n_columns = raster.height_m.shape
     along_x_m, along_y_m = raster.spacing_m or (1.0, 1.0)
     aspect = along_x_m / along_y_m
-    rows, columns = middle_of_shape((n_rows, n_columns), size_m, aspect=aspect)
     sample_m = max(size_m[0] / ((n_rows - 1) * aspect), size_m[1] / (n_columns - 1))
-    heights = raster.height_m[rows, columns]
-    if heights.shape != (n_rows, n_columns):
-        announce(
-            f"{n_rows} x {n_columns} samples do not have the shape of {size_m[0]:g} x"
-            f" {size_m[1]:g} m: using the middle, {heights.shape[0]} x {heights.shape[1]} from row"
-            f" {rows.start}, column {columns.start}"
-        )
+    heights = cut_to_shape(raster.height_m, size_m, aspect=aspect, announce=announce)
     if keeps_shape and raster.has_unit and raster.spacing_m is not None:
         scale = sample_m / along_y_m
         heights = heights * heights.dtype.type(scale)
@@ -214,7 +207,8 @@ def _check_no_holes(raster: Raster) -> None:
         if is_hole.any():
             raise TerrainError(
                 f"{raster.n_holes} samples are holes, the first at row {i}, column"
-                f" {int(np.argmax(is_hole))}; fill them, or crop to a part without any"
+                f" {int(np.argmax(is_hole))}; fill them (--fill-holes), or use a part without any"
+                " (--crop)"
             )
 
 

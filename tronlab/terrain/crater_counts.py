@@ -70,3 +70,8 @@ def law_per_m2(config: ProceduralTerrain, diameter_m: FloatArray) -> FloatArray:
     within = np.clip(diameter_m, config.crater_smallest_m, config.crater_largest_m)
     b = config.crater_exponent
     return config.crater_density_per_m2 * (within**-b - config.crater_largest_m**-b)
+
+
+def n_expected(config: ProceduralTerrain, counts: CraterCounts) -> float:
+    """Give how many craters of all diameters are to be expected on the area of the counts."""
+    return float(law_per_m2(config, counts.diameter_m[:1])[0]) * counts.area_m2

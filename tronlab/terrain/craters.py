@@ -8,6 +8,7 @@ profile. Profiles of several states of wear are tabulated once and scaled to eac
 """
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,6 +77,7 @@ def draw_craters(
     return Craters(diameter[order], x[order], y[order], wear[order])
 
 
+@cache  # thousands of steps of diffusion, for every tile of a large terrain the same
 def crater_profiles() -> NDArray[np.float32]:
     """Tabulate the height over the plain in diameters, shape (states of wear, radii).
 

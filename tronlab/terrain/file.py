@@ -11,7 +11,7 @@ from tronlab.terrain.heightmap import TerrainError
 from tronlab.terrain.holes import fill_holes
 from tronlab.terrain.procedural import rough_surface, scaled_to_relief
 from tronlab.terrain.raster import read_raster
-from tronlab.terrain.resampling import middle_of_shape, resample
+from tronlab.terrain.resampling import cut_to_shape, resample
 
 READER_VERSION = 3
 """To be raised with every change of the heights made from the same file and settings."""
@@ -31,7 +31,12 @@ def read_terrain(config: FileTerrain, path: Path, *, announce: Announce) -> NDAr
     samples = _without_holes(raster, config, path, announce)
     along_rows_m, along_columns_m = raster.spacing_m or (1.0, 1.0)
     aspect = along_rows_m / along_columns_m
-    samples = _cut_to_shape(samples, aspect, config.size_m, path, announce)
+    try:
+        samples = cut_to_shape(
+            samples, config.size_m, aspect=aspect, name=f"{path.name}: ", announce=announce
+        )
+    except TerrainError as error:
+        raise TerrainError(f"{path}: {error}") from error
     if samples.max() == samples.min():
         raise TerrainError(f"{path}: all heights are {samples.max()}: there is no relief to scale")
     height_m = scaled_to_relief(_on_grid(samples, config, path, announce), config.relief_m)
@@ -58,27 +63,6 @@ def _without_holes(raster: Raster, config: FileTerrain, path: Path, announce: An
         raise TerrainError(f"{path}: {error}") from error
     announce(f"{path.name}: {n_filled} samples without a height filled from their surroundings")
     return filled
-
-
-def _cut_to_shape(
-    samples: Heights,
-    aspect: float,
-    size_m: tuple[float, float],
-    path: Path,
-    announce: Announce,
-) -> Heights:
-    try:
-        rows, columns = middle_of_shape(samples.shape, size_m, aspect=aspect)
-    except TerrainError as error:
-        raise TerrainError(f"{path}: {error}") from error
-    middle = samples[rows, columns]
-    if middle.shape != samples.shape:
-        announce(
-            f"{path.name}: {samples.shape[0]} x {samples.shape[1]} samples do not have the shape of"
-            f" {size_m[0]} x {size_m[1]} m: using the middle, {middle.shape[0]} x {middle.shape[1]}"
-            f" from row {rows.start}, column {columns.start}"
-        )
-    return middle
 
 
 def _on_grid(

@@ -7,8 +7,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tronlab.terrain.formats.model import SMALLEST_SIDE, Heights
+from tronlab.terrain.config import MAX_SAMPLES
+from tronlab.terrain.formats.model import SMALLEST_SIDE, Announce, Heights
 from tronlab.terrain.heightmap import TerrainError
+from tronlab.terrain.lengths import length_text
 
 _SAMPLES_AT_ONCE = 1 << 24
 _ROWS_AT_ONCE = 256
@@ -37,17 +39,13 @@ class ResamplingLoss:
         return replace(self, rms_m=factor * self.rms_m, largest_m=factor * self.largest_m)
 
     def __str__(self) -> str:
-        waves = dict.fromkeys(_length(wave_m) for wave_m in self.shortest_wave_m)
+        waves = dict.fromkeys(length_text(wave_m) for wave_m in self.shortest_wave_m)
         return (
-            f"resampling changed heights by {_length(self.rms_m)} rms, at most"
-            f" {_length(self.largest_m)}, and the relief by"
+            f"resampling changed heights by {length_text(self.rms_m)} rms, at most"
+            f" {length_text(self.largest_m)}, and the relief by"
             f" {-100 * self.lost_relief_share:+.2g} %; the shortest waves left are"
             f" {' and '.join(waves)} long"
         )
-
-
-def _length(length_m: float) -> str:
-    return f"{length_m:.3g} m" if length_m >= 1.0 else f"{1e3 * length_m:.3g} mm"
 
 
 def middle_of_shape(
@@ -79,6 +77,37 @@ def middle_of_shape(
     return slice(top, top + kept_rows), slice(left, left + kept_columns)
 
 
+def cut_to_shape(
+    height_m: Heights,
+    size_m: tuple[float, float],
+    *,
+    aspect: float,
+    name: str = "",
+    announce: Announce,
+) -> Heights:
+    """Cut the middle out as ``middle_of_shape`` does, and tell what is left away.
+
+    Args:
+        height_m: Shape (rows, columns).
+        size_m: As in ``middle_of_shape``.
+        aspect: As in ``middle_of_shape``.
+        name: What the line told begins with.
+        announce: Is told, if anything is cut off.
+
+    Raises:
+        TerrainError: As ``middle_of_shape``.
+    """
+    rows, columns = middle_of_shape(height_m.shape, size_m, aspect=aspect)
+    middle = height_m[rows, columns]
+    if middle.shape != height_m.shape:
+        announce(
+            f"{name}{height_m.shape[0]} x {height_m.shape[1]} samples do not have the shape of"
+            f" {size_m[0]:g} x {size_m[1]:g} m: using the middle, {middle.shape[0]} x"
+            f" {middle.shape[1]} from row {rows.start}, column {columns.start}"
+        )
+    return middle
+
+
 def resample(
     height_m: Heights,
     spacing_m: tuple[float, float],
@@ -103,8 +132,10 @@ def resample(
         Heights of the type of ``height_m`` and of the shape asked for, and what they have lost.
 
     Raises:
-        TerrainError: The heights have holes, or one of the grids is too small.
+        TerrainError: The heights have holes, one of the grids is too small, or the new one too
+            large.
     """
+    _check_grids(height_m.shape, shape)
     pairs = list(zip(height_m.shape, shape, strict=True))
     grids = _Grids(
         spacing_m,
@@ -130,11 +161,14 @@ def resample_to_spacing(
     """
     if not new_spacing_m > 0.0:
         raise TerrainError(f"resampling: the new spacing is {new_spacing_m} m, must be positive")
+    steps = [new_spacing_m / old_m for old_m in spacing_m]
+    shape = tuple(
+        int((n - 1) / step + _WHOLE) + 1 for n, step in zip(height_m.shape, steps, strict=True)
+    )
+    _check_grids(height_m.shape, shape)
     new_places: list[NDArray[np.float64]] = []
     old_places: list[NDArray[np.float64]] = []
-    for n, old_m in zip(height_m.shape, spacing_m, strict=True):
-        step = new_spacing_m / old_m
-        n_new = int((n - 1) / step + _WHOLE) + 1
+    for n, n_new, step in zip(height_m.shape, shape, steps, strict=True):
         new_places.append(np.minimum(np.arange(n_new) * step, n - 1))
         n_covered = int((n_new - 1) * step + _WHOLE) + 1
         old_places.append(np.minimum(np.arange(n_covered) / step, n_new - 1))
@@ -164,16 +198,24 @@ class _Grids:
         return len(self.new_in_old[0]) + len(self.old_in_new[0])
 
 
-def _resampled(
-    height_m: Heights, grids: _Grids, on_progress: Callable[[int, int], None]
-) -> tuple[Heights, ResamplingLoss]:
-    shape = (len(grids.new_in_old[0]), len(grids.new_in_old[1]))
-    for name, (rows, columns) in {"old": height_m.shape, "new": shape}.items():
+def _check_grids(old: tuple[int, ...], new: tuple[int, ...]) -> None:
+    for name, (rows, columns) in {"old": old, "new": new}.items():
         if min(rows, columns) < SMALLEST_SIDE:
             raise TerrainError(
                 f"resampling: the {name} grid is {rows} x {columns}, needed are at least"
                 f" {SMALLEST_SIDE} x {SMALLEST_SIDE}"
             )
+    if new[0] * new[1] > MAX_SAMPLES:
+        raise TerrainError(
+            f"resampling: the new grid would have {new[0]} x {new[1]} samples (at most"
+            f" {MAX_SAMPLES}); make the spacing larger"
+        )
+
+
+def _resampled(
+    height_m: Heights, grids: _Grids, on_progress: Callable[[int, int], None]
+) -> tuple[Heights, ResamplingLoss]:
+    shape = (len(grids.new_in_old[0]), len(grids.new_in_old[1]))
     resampled: Any = np.empty(shape, dtype=height_m.dtype)
     sigmas = [_SIGMA_OF_STEP * step if step > 1.0 else 0.0 for step in grids.steps]
     for rows, block in _spline(height_m, grids.new_in_old, sigmas):

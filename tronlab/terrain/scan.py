@@ -84,10 +84,11 @@ def scan(heightmap: HeightMap, config: ScanConfig) -> Scan:
     height_m += _white_noise(white_rng, height_m.shape, config)
     height_m += _shared_noise(shared_rng, height_m.shape, spacing_m, config)
     is_hidden = _is_hidden(heightmap, config, rows, columns)
+    _check_seen(is_hidden, heightmap, config)
     n_holes = int(np.count_nonzero(is_hidden))
     if n_holes:
         height_m[is_hidden] = np.nan
-        height_m, _ = fill_holes(height_m, widest_px=int(config.widest_hole_m / spacing_m))
+        height_m, _ = fill_holes(height_m, widest_px=round(config.widest_hole_m / spacing_m))
     scanned = HeightMap(height_m.astype(np.float32), spacing_m, heightmap.origin_trs_m)
     return Scan(scanned, scan_from_true, n_holes, n_outside)
 
@@ -231,6 +232,16 @@ def _is_hidden(
             n_threads=n_cores(),
         )
     return is_hidden
+
+
+def _check_seen(is_hidden: NDArray[np.bool_], heightmap: HeightMap, config: ScanConfig) -> None:
+    if is_hidden.all():
+        places = ", ".join(map(str, config.scanners_trs_m))
+        top_m = heightmap.origin_trs_m[2] + heightmap.statistics.highest_m
+        raise TerrainError(
+            f"scan: nothing of the terrain is seen from {places} (metres in trs); a scanner stands"
+            f" above it, the highest point lies at Z = {top_m:.4g} m"
+        )
 
 
 @compiled

@@ -17,6 +17,7 @@ from tronlab.twin.config import (
     Deviation,
     LensConfig,
     RobotConfig,
+    SurfaceConfig,
     TrackerConfig,
     TrueLampConfig,
     WorldConfig,
@@ -127,12 +128,13 @@ def serial_number(spec: LaboratorySpec, config: WorldConfig) -> str:
     """Give a serial number that two laboratories share only if they are built alike.
 
     Scripted faults leave it as it is: they happen to a laboratory and do not make another one. So
-    does the terrain: nothing that is calibrated depends on it.
+    do the terrain, its surface and who renders it: nothing that is calibrated depends on them.
     It is a number below 2^31, as trackers have.
     """
+    usual = config.model_copy(update={"surface": SurfaceConfig()})
     parts = {
         "laboratory": spec.model_dump(mode="json"),
-        "world": config.model_dump(mode="json", exclude={"faults", "terrain"}),
+        "world": usual.model_dump(mode="json", exclude={"faults", "terrain"}),
     }
     digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).digest()
     return str(int.from_bytes(digest[:4]) >> 1)

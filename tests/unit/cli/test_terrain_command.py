@@ -1,6 +1,7 @@
 """``tronlab terrain`` as a person meets it, on small terrains."""
 
 import json
+import os
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +15,7 @@ from tronlab.terrain.config import ProceduralTerrain
 from tronlab.terrain.conversion import Conversion, convert, heightmap_of
 from tronlab.terrain.dem import describe_dem, open_dem
 from tronlab.terrain.formats.model import Raster
+from tronlab.terrain.formats.png import write_png
 from tronlab.terrain.heightmap import TerrainError
 from tronlab.terrain.procedural import make_terrain
 
@@ -70,12 +72,14 @@ def test_make_writes_what_a_rig_with_these_settings_has(small: Path, tronlab: Tr
 
 def test_make_takes_a_files_settings_and_options_on_top(tronlab: Tronlab):
     Path("mine.yaml").write_text(
-        "terrain: {kind: procedural, seed: 9, size_m: [0.1, 0.1], spacing_m: 0.002}\n"
+        "terrain: {kind: procedural, seed: 9, size_m: [0.1, 0.1], spacing_m: 0.002,"
+        " albedo_map: paint.png}\n"
     )
     code, printed, told = tronlab("make", "mine.yaml", "--relief-m", 0.02, "--out", "mine.npy")
     assert code == 0, told
     assert "relief 20.0 mm" in printed
     assert "from seed 9" in printed
+    assert "only heights are used: the albedo map paint.png belongs to the rig" in told
     made_by = describe_dem(Path("mine.npy")).made_by
     assert (made_by["seed"], made_by["relief_m"]) == (9, 0.02)
 
@@ -115,10 +119,15 @@ def test_a_picture_of_numbers_without_a_unit_says_what_to_do(tronlab: Tronlab):
     assert "does not say its unit of height" in told
     assert "tronlab terrain convert raw.npy NAME.npy --size-m X Y --relief-m Z" in told
     assert facts(tronlab, Path("raw.npy"))["facet_slope_rad"] is None
+    levels = np.arange(400, dtype=np.float32).reshape(20, 20)
+    write_png(Raster(levels, spacing_m=(2.0, 2.0), has_unit=False), Path("raw.png"))
+    assert "give it with --height-unit-m, or make a model" in tronlab("view", "raw.png")[2]
 
 
 def test_there_and_back_through_16_bit_png_loses_at_most_half_a_step(small: Path, tronlab: Tronlab):
-    assert tronlab("convert", small, "there.png")[0] == 0
+    code, printed, told = tronlab("convert", small, "there.png")
+    assert code == 0, told
+    assert "not kept in this format: the origin -0.02 -0.02 -0.13 m in trs" in printed
     code, printed, told = tronlab("convert", "there.png", "back.npy")
     assert code == 0, told
     assert "61 x 101 samples every 2 mm" in printed
@@ -179,7 +188,7 @@ def test_holes_are_refused_or_filled_and_counted(tronlab: Tronlab):
     size = ("--size-m", 0.19, 0.29)
     code, _, told = tronlab("convert", "holes.npy", "filled.npy", *size, "--relief-m", 0.077)
     assert code == 2
-    assert "4 samples are holes, the first at row 5, column 8; fill them, or crop" in told
+    assert "4 samples are holes, the first at row 5, column 8; fill them (--fill-holes)" in told
     assert not Path("filled.npy").exists()
     code, _, told = tronlab(
         "convert", "holes.npy", "filled.npy", *size, "--relief-m", 0.077, "--fill-holes", 2
@@ -240,6 +249,11 @@ def test_a_scan_knows_the_terrain_but_for_its_errors(small: Path, tronlab: Tronl
         (("convert", "raw.npy", "a.npy", "--relief-m", 1), "how far apart its samples are"),
         (("convert", "raw.npy", "a.npy", "--relief-m", -1), "relief is -1.0 m, must be positive"),
         (("convert", "raw.npy", "a.tif", "--crop", 0, 0, 30, 5), "reaches to row 30"),
+        (("convert", "raw.npy", "a.tif", "--every", 2), "--every 2 is for meshes (.ply,"),
+        (
+            ("convert", "raw.npy", "a.npy", "--relief-m", 1, "--size-m", 1, 1, "--spacing-m", 1e-9),
+            "would have 1000000001 x 1000000001 samples (at most 2147483647)",
+        ),
         (("scan", "raw.npy", "--out", "a.npy", "--noise-mm", -1), "scan.noise_sigma_m: must be"),
         (("scan", "raw.npy", "--out", "a.npy", "--scanner", "1,2"), "'1,2' is no point"),
     ],
@@ -256,7 +270,9 @@ def test_a_mistake_is_one_clear_message(
     assert not list(tmp_path.glob("a.*"))
 
 
-def test_nothing_is_written_over_without_force(small: Path, tronlab: Tronlab):
+def test_nothing_is_written_over_without_force(
+    small: Path, tronlab: Tronlab, monkeypatch: pytest.MonkeyPatch
+):
     before = small.read_bytes()
     for command in (
         ("make", *SMALL, "--out", small),
@@ -265,6 +281,10 @@ def test_nothing_is_written_over_without_force(small: Path, tronlab: Tronlab):
     ):
         code, _, told = tronlab(*command)
         assert (code, told) == (2, "error: small.npy: exists already; --force replaces it\n")
+    with monkeypatch.context() as patch:
+        patch.setattr("os.access", lambda _path, mode: mode != os.W_OK)
+        code, _, told = tronlab("convert", small, "other.npy")
+    assert (code, told) == (2, "error: other.npy: the folder . cannot be written to\n")
     assert small.read_bytes() == before
     assert tronlab("make", *SMALL[:-1], 5, "--out", small, "--force")[0] == 0
     assert small.read_bytes() != before

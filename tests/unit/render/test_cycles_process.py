@@ -15,7 +15,7 @@ import pytest
 from tronlab.geometry.camera import CameraModel
 from tronlab.geometry.poses import pose_along_boresight
 from tronlab.render.cycles import process, scene
-from tronlab.render.cycles.process import PYTHON_VARIABLE, blender_python
+from tronlab.render.cycles.process import PYTHON_VARIABLE, BlenderProcess, blender_python
 from tronlab.render.cycles.renderer import open_cycles
 from tronlab.render.renderer import Lamp, RenderError
 from tronlab.render.settings import RenderSettings
@@ -191,13 +191,23 @@ def test_where_blender_is_not_there_the_error_says_how_to_get_it(
     assert blender_python() == python
 
 
+def test_who_asks_after_the_end_is_told(stand_in: StandIn) -> None:
+    blender = BlenderProcess(stand_in(at_render="os._exit(7)"))
+    for message in (r"exit code 7\).*last words", r"ended \(exit code 7\) when it should blend$"):
+        with pytest.raises(RenderError, match=rf"(?s){message}"):
+            blender.ask({"do": "render"}, what="blend", limit_s=10)
+    assert blender.has_ended
+
+
 @pytest.mark.parametrize("signal_", [signal.SIGKILL, signal.SIGINT])
 def test_no_blender_and_no_files_outlive_us(
     stand_in: StandIn, tmp_path: Path, signal_: signal.Signals
 ) -> None:
     stand_in()
     program = f"""
-        import os, sys, tempfile
+        import os, signal, sys, tempfile
+        # A shell that starts tests in the background has them ignore Ctrl-C.
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         tempfile.tempdir = {str(tmp_path)!r}
         from tronlab.render.cycles.process import BlenderProcess
         from pathlib import Path

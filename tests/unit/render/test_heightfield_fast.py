@@ -147,6 +147,48 @@ def test_a_large_lamp_has_soft_shadows(fast, reference, camera):
     assert np.abs(found - expected).mean() < 0.75 * np.abs(hard - expected).mean()
 
 
+@pytest.mark.parametrize("radius_m", [0.0, 0.05])
+def test_triangles_that_face_away_from_the_lamp_are_dark(radius_m):
+    """Steps of 45 degrees, their edges in the light of a lamp 40 degrees up."""
+    profile = np.tile([0.0, 0.0, 0.002, 0.002], 12).astype(np.float32)
+    heightmap = HeightMap(np.tile(profile[:, None], (1, 30)), 0.002, np.zeros(3))
+    lamp = Lamp(np.array([1.24, 0.03, 1.0]), 1.0, radius_m=radius_m)
+    pose = pose_along_boresight((0.047, 0.029, 0.1), boresight=(0, 0, -1), right=(0, 1, 0))
+    narrow = CameraModel(160, 160, 320.0, 320.0, 79.5, 79.5)
+    found = HeightfieldRenderer(heightmap).render(narrow, pose, lamp, POINTS)
+    r = found.points_trs_m[..., 0] / heightmap.spacing_m
+    faces_away = (np.diff(profile) > 0)[np.floor(r).astype(int)]
+    assert 0.1 < faces_away.mean() < 0.4
+    assert not found.is_lit[faces_away].any()
+    assert found.radiance[faces_away].max() < 1e-6
+    assert found.is_lit[~faces_away].mean() > 0.7
+
+
+@pytest.mark.parametrize("spacing_m", [2.0**-13, 2.0**-8, 16.0])
+@pytest.mark.parametrize("slope", [0.0, 2.0], ids=["level", "steep"])
+@pytest.mark.parametrize("height_m", [0.0, 1738.5])
+def test_no_place_of_a_plane_shades_another(spacing_m, slope, height_m):
+    """Whatever the size of model and heights, which 32 bits hold; the lamp grazes the plane."""
+    x = np.arange(40) * spacing_m
+    heights = np.tile((height_m + slope * x)[:, None], (1, 40)).astype(np.float32)
+    heightmap = HeightMap(heights, spacing_m, np.zeros(3))
+    middle = np.array([0.5 * x[-1], 0.5 * x[-1], height_m + 0.5 * slope * x[-1]])
+    normal = np.array([-slope, 0.0, 1.0]) / np.hypot(slope, 1.0)
+    lamp = Lamp(middle + x[-1] * (np.array([0.3, 3.0, 0.3 * slope]) + 0.03 * normal), 1.0)
+    eye = middle + np.array([0.0, 0.0, 2.0 * x[-1]])
+    pose = pose_along_boresight(eye, boresight=(0, 0, -1), right=(0, 1, 0))
+    narrow = CameraModel(60, 60, 110.0, 110.0, 29.5, 29.5)
+    fast = HeightfieldRenderer(heightmap)
+    for rendering in (
+        ReferenceRenderer(heightmap).render(narrow, pose, lamp),
+        fast.render(narrow, pose, lamp, RAYS),
+        fast.render(narrow, pose, lamp, POINTS),
+    ):
+        is_seen = np.isfinite(rendering.depth_m)
+        assert is_seen.sum() > 1000
+        np.testing.assert_array_equal(rendering.is_lit, is_seen)
+
+
 def mean_of_64(renderer, camera, pose):
     shifts = (np.arange(8) - 3.5) / 8
     moved = [

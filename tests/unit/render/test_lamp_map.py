@@ -1,13 +1,18 @@
 """The map of a lamp against geometry and against rays."""
 
+import os
+import threading
+
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from tronlab.render import raycast
+from tronlab.render.lamp import kept
 from tronlab.render.lamp.map import LampMaps
-from tronlab.render.lamp.sweep import DARK, LIT, OFFSET_M, sweep
+from tronlab.render.lamp.sweep import DARK, LIT, sweep
+from tronlab.render.lighting import SHADOW_OFFSET_M
 from tronlab.render.quadtree import make_grid
 from tronlab.render.renderer import Lamp, RenderError
 from tronlab.terrain.heightmap import HeightMap
@@ -24,7 +29,7 @@ def swept(height_m, lamp, *, radius_m=0.0, n_threads=1, spacing_m=SPACING_M):
 
 def sees_lamp(grid, lamp, i, j):
     slopes = np.array([grid.height_m[i, j] - grid.height_m[max(i - 1, 0), j]]) / grid.spacing_m
-    z = float(grid.height_m[i, j]) + OFFSET_M * float(np.hypot(1.0, slopes[0]))
+    z = float(grid.height_m[i, j]) + SHADOW_OFFSET_M * float(np.hypot(1.0, slopes[0]))
     towards = lamp - [i, j, z]
     t = raycast.first_hit(grid, float(i), float(j), z, *towards, 1.0, np.int64(1))
     return t == raycast.MISSED
@@ -144,3 +149,77 @@ def test_a_terrain_that_is_too_large_is_refused(grid):
     maps = LampMaps(grid._replace(height_m=heights), np.zeros(3))
     with pytest.raises(RenderError, match=r"100020001 samples.*shadows: rays"):
         maps.of(Lamp(np.ones(3), 1.0))
+
+
+@pytest.fixture
+def kept_folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr("tronlab.render.lamp.map.LEAST_SAMPLES", 0)
+    return kept.cache_folder()
+
+
+def map_in_new_process(grid, z_m=0.9, *, albedo=None, fingerprint="moon"):
+    """Make or find the map of a lamp as a process does that has just begun."""
+    maps = LampMaps(grid, np.zeros(3), albedo, fingerprint=fingerprint, n_threads=1)
+    lamp_map = maps.of(Lamp(np.array([-0.6, -0.4, z_m]), 1.0))
+    for thread in threading.enumerate():
+        if thread.name == "keep lamp map":
+            thread.join()
+    return lamp_map
+
+
+def forbid_sweeping(monkeypatch):
+    def sweep_again(*_arguments, **_options):
+        raise AssertionError("the map is made again")
+
+    monkeypatch.setattr("tronlab.render.lamp.map.sweep", sweep_again)
+
+
+def test_the_first_lamps_map_is_kept_for_the_next_process(grid, kept_folder, monkeypatch):
+    made = map_in_new_process(grid)
+    assert len(list(kept_folder.iterdir())) == 1
+    forbid_sweeping(monkeypatch)
+    found = map_in_new_process(grid)
+    np.testing.assert_array_equal(found.visibility, made.visibility)
+    for ours, theirs in zip(found.pyramid, made.pyramid, strict=True):
+        np.testing.assert_array_equal(ours, theirs)
+    dark = np.zeros(grid.height_m.shape, dtype=np.uint16)
+    for other in ({"z_m": 0.91}, {"albedo": dark}, {"fingerprint": "mars"}):
+        with pytest.raises(AssertionError, match="made again"):
+            map_in_new_process(grid, **other)
+
+
+def test_maps_of_lamps_that_move_are_not_kept(grid, kept_folder):
+    maps = LampMaps(grid, np.zeros(3), fingerprint="moon", n_threads=1)
+    for z_m in (0.9, 0.91, 0.92):
+        maps.of(Lamp(np.array([-0.6, -0.4, z_m]), 1.0))
+    map_in_new_process(grid, 0.9)
+    assert len(list(kept_folder.iterdir())) == 1
+
+
+def test_a_damaged_map_is_made_again(grid, kept_folder, caplog):
+    made = map_in_new_process(grid)
+    (path,) = kept_folder.iterdir()
+    path.write_bytes(path.read_bytes()[:-1])
+    again = map_in_new_process(grid)
+    np.testing.assert_array_equal(again.visibility, made.visibility)
+    assert "is damaged and is made again" in caplog.text
+
+
+def test_only_the_maps_used_last_stay_on_the_disk(grid, kept_folder):
+    for k in range(4):
+        map_in_new_process(grid, 0.9 + k)
+    for k, path in enumerate(sorted(kept_folder.iterdir(), key=lambda path: path.stat().st_mtime)):
+        os.utime(path, (k, k))
+    map_in_new_process(grid, 0.9)
+    used = max(kept_folder.iterdir(), key=lambda path: path.stat().st_mtime)
+    map_in_new_process(grid, 9.0)
+    assert len(list(kept_folder.iterdir())) == 4
+    assert used.exists()
+
+
+def test_a_folder_that_cannot_be_written_costs_only_the_keeping(grid, kept_folder, caplog):
+    kept_folder.parent.mkdir(parents=True)
+    kept_folder.write_text("in the way")
+    assert map_in_new_process(grid).visibility.shape == grid.height_m.shape
+    assert "the lamp map is not kept" in caplog.text

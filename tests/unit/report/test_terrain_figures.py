@@ -9,7 +9,6 @@ from tronlab.report.terrain import TerrainSubject, save_sheet, terrain_sheet
 from tronlab.report.terrain_charts import crater_verdict, draw_crater_counts, draw_deviograms
 from tronlab.report.terrain_maps import (
     TerrainMap,
-    length_text,
     relief_picture,
     round_length,
     shading,
@@ -17,6 +16,7 @@ from tronlab.report.terrain_maps import (
 from tronlab.terrain.config import ProceduralTerrain
 from tronlab.terrain.crater_counts import CraterCounts
 from tronlab.terrain.heightmap import TerrainError
+from tronlab.terrain.lengths import length_text
 from tronlab.terrain.procedural import make_terrain
 from tronlab.terrain.statistics import Deviogram, SelfAffine, hurst_fit
 

@@ -23,9 +23,9 @@ def draw(seed, *, exponent=2.0, density=0.2):
     )
 
 
-@pytest.mark.parametrize("exponent", [1.8, 2.0, 3.0])
-def test_counts_follow_the_law(exponent):
-    drawn = [draw(seed, exponent=exponent, density=0.02) for seed in range(20)]
+@pytest.mark.parametrize(("exponent", "n_models"), [(1.8, 20), (2.0, 20), (3.0, 4)])
+def test_counts_follow_the_law(exponent, n_models):
+    drawn = [draw(seed, exponent=exponent, density=0.02) for seed in range(n_models)]
     area = 2.0 * 3.0 * len(drawn)
     for d in (0.01, 0.02, 0.05, 0.1):
         count = 0

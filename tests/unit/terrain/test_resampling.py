@@ -82,6 +82,13 @@ def test_bands_leave_no_seam(monkeypatch):
     assert banded.dtype == np.float32
 
 
+def test_a_grid_too_large_is_refused_before_it_is_made():
+    for grid in (resample, resample_to_spacing):
+        wanted = (10**6, 10**6) if grid is resample else 1e-9
+        with pytest.raises(TerrainError, match=r"new grid would have .*at most 2147483647"):
+            grid(np.zeros((20, 30)), SPACING_M, wanted)
+
+
 def test_squares_of_a_new_size_begin_at_the_same_corner():
     x, y = 0.001 * np.arange(41)[:, None], 0.002 * np.arange(31)
     height, loss = resample_to_spacing(3 * x - y, (0.001, 0.002), 0.003)

@@ -146,6 +146,12 @@ def test_a_hole_too_wide_to_be_filled_is_told():
         scan(with_a_wall(), config)
 
 
+def test_a_scanner_that_sees_nothing_is_told():
+    config = ScanConfig(scanners_trs_m=((0.2, 0.2, -1.0),))
+    with pytest.raises(TerrainError, match=r"seen from \(0.2, 0.2, -1.0\).*Z = 0\.06 m"):
+        scan(with_a_wall(), config)
+
+
 def test_the_same_seed_makes_the_same_scan():
     config = ScanConfig(noise_sigma_m=1e-4, registration_sigma_m=1e-3, correlated_sigma_m=1e-4)
     first, same = scan(smooth(), config), scan(smooth(), config)

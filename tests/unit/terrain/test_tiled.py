@@ -14,7 +14,7 @@ from tronlab.terrain.heightmap import TerrainError
 from tronlab.terrain.tiled import write_terrain
 from tronlab.terrain.tiled_roughness import TiledRoughness, _Law
 
-SHAPE = (1000, 1500)
+SHAPE = (600, 1000)
 LAW = {"spacing_m": 0.0005, "hurst_exponent": 0.8, "slope": 0.12}
 
 
@@ -77,7 +77,7 @@ def test_the_expected_slope_is_that_of_the_theory():
 @pytest.fixture(scope="module")
 def config():
     return ProceduralTerrain(
-        size_m=(0.4, 0.5), spacing_m=0.0005, relief_m=0.12, crater_largest_m=0.3, seed=6
+        size_m=(0.3, 0.3), spacing_m=0.0005, relief_m=0.12, crater_largest_m=0.3, seed=6
     )
 
 

@@ -8,6 +8,7 @@ from scipy.stats import chi2
 from tronlab.devices.laboratory import LaboratorySpec
 from tronlab.geometry.alignment import frame_from_reflectors
 from tronlab.geometry.uncertainty import pose_difference
+from tronlab.render.photometry import Lambert
 from tronlab.twin.config import Deviation, FaultSpec, WorldConfig
 from tronlab.twin.truth import (
     LAMP_TARGET,
@@ -198,3 +199,12 @@ def test_faults_do_not_make_another_laboratory(spec: LaboratorySpec, config: Wor
     fault = FaultSpec(device="camera", call="grab", at=1, error="timeout")
     faulty = config.model_copy(update={"faults": (fault,)})
     assert serial_number(spec, faulty) == serial_number(spec, config)
+
+
+def test_another_surface_and_renderer_do_not_make_another_laboratory(
+    spec: LaboratorySpec, config: WorldConfig
+):
+    changed = {"renderer": "cycles", "every_n": 2, "photometry": Lambert(), "albedo": 0.2}
+    surface = config.surface.model_copy(update=changed)
+    changed_config = config.model_copy(update={"surface": surface})
+    assert serial_number(spec, changed_config) == serial_number(spec, config)

@@ -122,6 +122,7 @@ class BlenderProcess:
         except queue.Empty:
             raise self._failure(f"did not {what} within {limit_s:g} s") from None
         if not line:
+            self._replies.put("")  # it has ended for whoever asks next, too
             code = _exit_code(self._process)
             raise self._failure(f"ended ({code}) when it should {what}")
         try:
@@ -133,7 +134,9 @@ class BlenderProcess:
         return cast(dict[str, Any], reply)
 
     def _failure(self, what: str) -> RenderError:
-        said = self._log.read_text(encoding="utf-8", errors="replace").splitlines()
+        said: list[str] = []
+        with suppress(OSError):  # the log goes with the process
+            said = self._log.read_text(encoding="utf-8", errors="replace").splitlines()
         lines = [f"renderer cycles: Blender {what}"]
         if said:
             lines += ["its last words:", *(f"  {line}" for line in said[-_LAST_WORDS:])]

@@ -78,7 +78,8 @@ class CyclesRenderer:
         if settings.photometry.kind != "lambert":
             raise RenderError(
                 f"renderer cycles: photometry is {settings.photometry.kind!r}, must be 'lambert',"
-                " the only one Cycles has\ntake renderer heightfield, reference or mitsuba"
+                " the only one Cycles has\n"
+                "take that, or renderer heightfield, reference or mitsuba"
             )
         lens = Lens(camera)
         with self._scene.hand_over(trs_from_cams) as poses:

@@ -87,7 +87,10 @@ class BlenderScene:
         """Write the text file of poses for ``look``, and remove it at the end."""
         process = self._running()
         path = process.folder / f"poses{next(self._numbers)}.txt"
-        write_poses(path, trs_from_cams)
+        try:
+            write_poses(path, trs_from_cams)
+        except OSError as error:
+            raise RenderError(f"renderer cycles: {path} cannot be written: {error}") from error
         try:
             yield PoseFile(path, process)
         finally:

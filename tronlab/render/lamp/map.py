@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from tronlab.geometry.poses import FloatArray
 from tronlab.render.kernels import inlined
 from tronlab.render.lamp import prefilter
-from tronlab.render.lamp.prefilter import Pyramid, make_pyramid
+from tronlab.render.lamp.kept import LEAST_SAMPLES, find_map, keep_map, map_file
+from tronlab.render.lamp.prefilter import Pyramid, lay_out, make_pyramid
 from tronlab.render.lamp.sweep import sweep
 from tronlab.render.quadtree import Grid
 from tronlab.render.renderer import Lamp, RenderError
@@ -31,7 +32,11 @@ class LampMap(NamedTuple):
 
 
 class LampMaps:
-    """Makes the maps of one terrain and keeps those of the lamps used last."""
+    """Makes the maps of one terrain and keeps those of the lamps used last.
+
+    That of the first lamp is kept on disk too: the next process most often has the same one. Those
+    of later lamps are not, as they may be of a lamp that moves.
+    """
 
     def __init__(
         self,
@@ -39,11 +44,22 @@ class LampMaps:
         origin_trs_m: FloatArray,
         albedo: NDArray[np.uint16] | None = None,
         *,
+        fingerprint: str | None = None,
         n_threads: int | None = None,
     ) -> None:
+        """Make no map yet.
+
+        Args:
+            grid: The terrain.
+            origin_trs_m: Where its node (0, 0) would lie at height 0, shape (3,).
+            albedo: Of its nodes, ``WHITE`` for 1; None: 1 everywhere.
+            fingerprint: Names the heights; without it nothing is kept on disk.
+            n_threads: Threads to use; as many as cores without it.
+        """
         self._grid = grid
         self._origin_trs_m = np.asarray(origin_trs_m, dtype=np.float64)
         self._albedo = NO_ALBEDO if albedo is None else albedo
+        self._fingerprint = fingerprint if grid.height_m.size >= LEAST_SAMPLES else None
         self._n_threads = n_threads or n_cores()
         self._maps: dict[bytes, LampMap] = {}
 
@@ -69,8 +85,22 @@ class LampMaps:
     def _made(self, lamp: Lamp) -> LampMap:
         spacing_m = self._grid.spacing_m
         p = (lamp.p_trs_m - self._origin_trs_m) / np.array([spacing_m, spacing_m, 1.0])
+        if self._fingerprint is None:
+            return self._swept(p, lamp.radius_m)
+        numbers = np.array([*p, lamp.radius_m])
+        path = map_file(self._fingerprint, spacing_m, numbers, self._albedo)
+        self._fingerprint = None
+        found = find_map(path, self._grid.height_m.shape)
+        if found is not None:
+            return LampMap(found[0], lay_out(self._grid.height_m.shape, found[1]))
+        made = self._swept(p, lamp.radius_m)
+        keep_map(path, made.visibility, made.pyramid.means)
+        return made
+
+    def _swept(self, p: FloatArray, radius_m: float) -> LampMap:
+        """Make the map of a lamp at a place in grid coordinates."""
         visibility = np.empty(self._grid.height_m.shape, dtype=np.uint8)
-        sweep(self._grid, p, lamp.radius_m, visibility, n_threads=self._n_threads)
+        sweep(self._grid, p, radius_m, visibility, n_threads=self._n_threads)
         pyramid = make_pyramid(self._grid, visibility, self._albedo, p, n_threads=self._n_threads)
         return LampMap(visibility, pyramid)
 

@@ -57,18 +57,34 @@ def make_pyramid(
         lamp: Where the lamp is in grid coordinates: two in cells, the third in metres.
         n_threads: How many threads may run at once; the result does not depend on it.
     """
-    shape = np.array(grid.height_m.shape, dtype=np.int64)
-    shapes = [shape]
-    while shapes[-1].max() > 1:
-        shapes.append((shapes[-1] + 1) // 2)
-    rows, columns = np.array(shapes).T.copy()
-    ends = np.cumsum((rows * columns)[1:])
-    start = np.array([0, 0, *ends[:-1]], dtype=np.int64)
-    pyramid = Pyramid(np.empty((int(ends[-1]), 4), dtype=np.int16), start, rows, columns)
+    pyramid = lay_out(grid.height_m.shape)
     run_interleaved(_fill_lowest, grid, visibility, albedo, lamp, pyramid, n_threads=n_threads)
-    for level in range(2, len(shapes)):
+    for level in range(2, pyramid.level_rows.size):
         run_interleaved(_fill_next, pyramid, level, n_threads=n_threads)
     return pyramid
+
+
+def n_squares(shape: tuple[int, ...]) -> int:
+    """Give how many squares all levels of a pyramid have together."""
+    rows, columns = _level_shapes(shape)
+    return int((rows * columns)[1:].sum())
+
+
+def lay_out(shape: tuple[int, ...], means: NDArray[np.int16] | None = None) -> Pyramid:
+    """Give a pyramid over a model of this shape: with these means, or room for them."""
+    rows, columns = _level_shapes(shape)
+    start = np.array([0, 0, *np.cumsum((rows * columns)[1:-1])], dtype=np.int64)
+    if means is None:
+        means = np.empty((n_squares(shape), 4), dtype=np.int16)
+    return Pyramid(means, start, rows, columns)
+
+
+def _level_shapes(shape: tuple[int, ...]) -> NDArray[np.int64]:
+    """Give the rows and the columns of all levels, those of level 0 are the model's."""
+    shapes = [np.array(shape, dtype=np.int64)]
+    while shapes[-1].max() > 1:
+        shapes.append((shapes[-1] + 1) // 2)
+    return np.array(shapes).T.copy()
 
 
 @compiled

@@ -3,7 +3,7 @@
 import math
 from typing import NamedTuple
 
-_LINE_SPACING = 0.45
+_LINE_SPACING = 0.7
 """Columns between two lines where they are farthest apart."""
 
 

@@ -8,10 +8,12 @@ lamp if the slope down to it is higher still.
 
 The plan falls into four sectors, by the axis along which a line advances faster and the direction
 in which it does. Turned by half a turn or with the axes exchanged, the surface has its triangles
-cut along the same diagonals: so all sectors are swept alike, row after row away from the lamp. The
-lines are so dense that neighbours are never farther apart than half a node. Along a
+cut along the same diagonals: so all sectors are swept alike, row after row away from the lamp.
+Neighbouring lines are never farther apart than nodes (``sectors``: closer, fewer errors). Along a
 line the surface is straight between the edges of the triangles, so its highest slopes are those at
-the crossings of edges. Between two lines the horizon is interpolated linearly.
+the crossings of edges. Between two lines the horizon is interpolated linearly, but for the cell
+just before a node: there its own ray is followed, which else would often be hidden by a neighbour
+of the very triangle that the node is seen over.
 
 For a lamp that has a size the horizons of several points on the vertical through its centre are
 carried at once. They tell from which height on the node would see it; the disk's share over that
@@ -28,12 +30,11 @@ from numpy.typing import NDArray
 
 from tronlab.render.kernels import inlined
 from tronlab.render.lamp.sectors import sectors
+from tronlab.render.lighting import SHADOW_OFFSET_M
 from tronlab.render.quadtree import Grid
 from tronlab.render.surface import triangle
 from tronlab.terrain.kernels import compiled, run_interleaved
 
-OFFSET_M = 2e-5
-"""A node's light is looked for from this far above it, along the normal."""
 LIT = np.uint8(255)
 DARK = np.uint8(0)
 
@@ -139,8 +140,10 @@ def _sweep_band(height, visibility, sector, source, spacing, band, horizon):
             low = max(low, int(np.ceil(first)))
         if band + n_gaps < sector.n_lines - 1:
             high = min(high, int(np.ceil(last)))
+        # The lines know nothing yet of the cells just before this row: a node looks there itself.
         _judge(height, visibility, sector, source, spacing, row, low, high, first, n_gaps, horizon)
-        _raise(height, sector, source, row, least, n_gaps, horizon)
+        if row > sector.first_row:
+            _raise(height, sector, source, row - 1, least, n_gaps, horizon)
 
 
 @inlined
@@ -163,7 +166,7 @@ def _is_own(sector, column, distance):
 
 @inlined
 def _judge(height, visibility, sector, source, spacing, row, low, high, first, n_gaps, horizon):
-    """Compare nodes of a row with the horizons of the lines on both sides."""
+    """Compare nodes of a row with the horizons of the lines on both sides, and the cell before."""
     distance = row - sector.lamp_row
     per_gap = 1.0 / (sector.slope_step * distance)
     per_m = np.float32(1.0 / spacing)
@@ -173,42 +176,72 @@ def _judge(height, visibility, sector, source, spacing, row, low, high, first, n
         to_column = sector.per_column if column > 0 else 0
         slope_r = (height[node] - height[node - to_row]) * per_m
         slope_c = (height[node] - height[node - to_column]) * per_m
-        # So far up the point is that lies OFFSET_M off the surface along its normal.
+        # So far up the point is that lies SHADOW_OFFSET_M off the surface along its normal.
         steepness = np.sqrt(np.float32(1.0) + slope_r * slope_r + slope_c * slope_c)
-        z = float(height[node]) + OFFSET_M * steepness
+        z = float(height[node]) + SHADOW_OFFSET_M * steepness
+        edges = _edges_before(height, sector, row, column)
         place = (column - first) * per_gap
         k = min(max(int(place), 0), n_gaps - 1)
         part = min(max(place - k, 0.0), 1.0)
         if len(source.heights_m) == 1:
-            over = _over(horizon, k, part, 0, source, z, distance)
+            over = _over(horizon, k, part, 0, source, z, distance, edges)
             visibility[node] = LIT if over >= 0.0 else DARK
         else:
             aside = column - sector.lamp_column
             away = np.sqrt(distance * distance + aside * aside) * spacing
-            visibility[node] = _share(horizon, k, part, source, z, distance, away)
+            visibility[node] = _share(horizon, k, part, source, z, distance, away, edges)
 
 
 @inlined
-def _over(horizon, k, part, level, source, z, distance):
+def _edges_before(height, sector, row, column):
+    """Give where the ray from the lamp to a node meets edges on its last way from row to row.
+
+    That is the side between two nodes of the row before and, running to the left, a diagonal.
+
+    Returns:
+        Of each of the two the height, and how many times farther away from the lamp the node is.
+    """
+    distance = row - sector.lamp_row
+    aside = (column - sector.lamp_column) / distance
+    left = column - 1 if aside > 0.0 else column
+    if distance <= 1.0 or row == 0 or left < 0 or left >= sector.n_columns - 1:
+        return _NO_HORIZON, 1.0, _NO_HORIZON, 1.0
+    node = sector.start + (row - 1) * sector.per_row + left * sector.per_column
+    z00 = float(height[node])
+    z01 = float(height[node + sector.per_column])
+    near = distance / (distance - 1.0)
+    if aside > 0.0:
+        return z01 + aside * (z00 - z01), near, _NO_HORIZON, 1.0
+    z11 = float(height[node + sector.per_row + sector.per_column])
+    part = -aside / (1.0 - aside)
+    diagonal = distance / (distance - 1.0 + part)
+    return z00 - aside * (z01 - z00), near, z00 + part * (z11 - z00), diagonal
+
+
+@inlined
+def _over(horizon, k, part, level, source, z, distance, edges):
     """Give how far a node is over the line from one height of the lamp that grazes the horizon."""
-    hidden = (1.0 - part) * horizon[k, level] + part * horizon[k + 1, level]
-    return z - source.heights_m[level] - hidden * distance
+    lamp_z = source.heights_m[level]
+    hidden = ((1.0 - part) * horizon[k, level] + part * horizon[k + 1, level]) * distance
+    near, times, diagonal, diagonal_times = edges
+    hidden = max(hidden, (near - lamp_z) * times, (diagonal - lamp_z) * diagonal_times)
+    return z - lamp_z - hidden
 
 
 @inlined
-def _share(horizon, k, part, source, z, distance, away):
+def _share(horizon, k, part, source, z, distance, away, edges):
     """Give the share of the lamp's disk over the horizon, 255 for the whole.
 
     The horizon is taken to be level across the disk.
     """
     below = source.heights_m[0]
-    over_below = _over(horizon, k, part, 0, source, z, distance)
+    over_below = _over(horizon, k, part, 0, source, z, distance, edges)
     if over_below >= 0.0:
         return LIT
     rise = 0.0
     for level in range(1, len(source.heights_m)):
         above = source.heights_m[level]
-        over = _over(horizon, k, part, level, source, z, distance)
+        over = _over(horizon, k, part, level, source, z, distance, edges)
         if over >= 0.0:
             grazing = _grazing(below, above, over_below, over, rise)
             break

@@ -8,7 +8,7 @@ more when all rays have met the surface is overwritten.
 
 import numpy as np
 
-from tronlab.render.kernels import kernel
+from tronlab.render.kernels import inlined, kernel
 from tronlab.render.lanes.lookup import look_up
 from tronlab.render.lanes.rows import (
     COS_EMISSION,
@@ -43,7 +43,7 @@ from tronlab.render.lanes.rows import (
 from tronlab.render.lanes.stepping import HIT
 from tronlab.render.lighting import light_at
 from tronlab.render.photometry_kernel import LAMBERT, reflected
-from tronlab.render.surface import albedo_at, cone_factor
+from tronlab.render.surface import albedo_at, cone_factor, triangle
 
 _ZERO, _ONE = np.float32(0), np.float32(1)
 _LEAST_SHARE = np.float32(1e-6)
@@ -120,9 +120,19 @@ def _follow_shadow_rays(grid, light, frame, n, floats, ints):
         if ints[STATE + k] == HIT:
             r, c = float(floats[R + k]) + frame.row, float(floats[C + k]) + frame.column
             to_eye = float(floats[EYE_X + k]), float(floats[EYE_Y + k]), float(floats[EYE_Z + k])
-            radiance, is_lit = light_at(grid, light, r, c, float(floats[Z + k]), to_eye)
+            # 32 bits hold the height to a micrometre: not enough for a ray that starts there.
+            radiance, is_lit = light_at(grid, light, r, c, _height_at(grid, r, c), to_eye)
             floats[RADIANCE + k] = radiance
             ints[IS_LIT + k] = is_lit
+
+
+@inlined
+def _height_at(grid, r, c):
+    """Give the height of the surface at a place."""
+    i = min(max(int(r), 0), grid.height_m.shape[0] - 2)
+    j = min(max(int(c), 0), grid.height_m.shape[1] - 2)
+    height, rise_r, rise_c = triangle(grid.height_m, i, j, c - j >= r - i)
+    return height + rise_r * (r - i) + rise_c * (c - j)
 
 
 @kernel

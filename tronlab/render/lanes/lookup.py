@@ -39,6 +39,7 @@ from tronlab.render.lanes.rows import (
     NODE_UP_1,
     PART_C,
     PART_R,
+    PER_DISTANCE,
     ROW,
     SHARE_00,
     SHARE_01,
@@ -56,13 +57,15 @@ from tronlab.render.lanes.rows import (
     C,
     R,
 )
-from tronlab.render.lanes.stepping import HIT, held, limits
+from tronlab.render.lanes.stepping import HIT, held, least, limits
 from tronlab.render.surface import albedo_at
 
 _ZERO, _ONE, _TWO, _HALF = np.float32(0), np.float32(1), np.float32(2), np.float32(0.5)
 _PER_SHARE = np.float32(1 / 255)
 _PER_MEAN = np.float32(1 / 32767)
 _FAR = 1e9
+_LEAST_RADIUS_M = 1e-9
+_PER_RISE = np.float32(2 / np.pi)
 _SAMPLE = 16
 """The nearest depth is looked for among one lane in so many."""
 
@@ -71,6 +74,8 @@ class MapView(NamedTuple):
     """A ``LampMap`` as the lanes read it."""
 
     visibility: NDArray[np.uint8]
+    radius_m: float
+    """Of the lamp."""
     pairs: NDArray[np.int32]
     """Means of the pyramid, two in one: x and y, z and share, by turns."""
     level_start: NDArray[np.int64]
@@ -78,11 +83,12 @@ class MapView(NamedTuple):
     level_columns: NDArray[np.int64]
 
 
-def map_view(lamp_map: LampMap) -> MapView:
+def map_view(lamp_map: LampMap, radius_m: float) -> MapView:
     """Give a map of the lamp as the lanes read it; nothing is copied."""
     pyramid = lamp_map.pyramid
     return MapView(
         lamp_map.visibility,
+        float(radius_m),
         pyramid.means.reshape(-1).view(np.int32),
         pyramid.level_start,
         pyramid.level_rows,
@@ -142,7 +148,8 @@ def _look_at_points(grid, lamp_map, frame, n, floats, ints):
         ints[ROW + k], ints[COLUMN + k] = np.int32(row), np.int32(column)
         floats[PART_R + k], floats[PART_C + k] = r - row, c - column
     _read_nodes(grid.height_m, lamp_map.visibility, frame, n, floats, ints)
-    per_two_cells = np.float32(0.5 / grid.spacing_m)
+    spacing, per_two_cells = np.float32(grid.spacing_m), np.float32(0.5 / grid.spacing_m)
+    radius = np.float32(max(lamp_map.radius_m, _LEAST_RADIUS_M))
     for k in range(n):
         a, b = floats[PART_R + k], floats[PART_C + k]
         h_0 = _mix(floats[NODE_0_0 + k], floats[NODE_0_1 + k], b)
@@ -159,11 +166,30 @@ def _look_at_points(grid, lamp_map, frame, n, floats, ints):
         share_1 = _mix(np.float32(ints[SHARE_10 + k]), np.float32(ints[SHARE_11 + k]), b)
         share = _mix(share_0, share_1, a) * _PER_SHARE
         faces_it = x * floats[LAMP_X + k] + y * floats[LAMP_Y + k] + floats[LAMP_Z + k] > _ZERO
+        share = least(share, _share_over_facet(k, a, b, spacing, radius, floats))
         share = share if faces_it & (ints[STATE + k] == HIT) else _ZERO
         up_part = share / np.sqrt(x * x + y * y + _ONE)
         floats[LIGHT_X + k], floats[LIGHT_Y + k] = x * up_part, y * up_part
         floats[LIGHT_Z + k], floats[LIGHT_SHARE + k] = up_part, share
         ints[IS_LIT + k] = np.int32(share >= _HALF)
+
+
+@inlined
+def _share_over_facet(k, a, b, spacing, radius, floats):
+    """Give the share of the lamp over the plane of the triangle that a point lies on.
+
+    In the segment of a disk the series of the arc sine ends after its first term.
+    """
+    node_00, node_01 = floats[NODE_0_0 + k], floats[NODE_0_1 + k]
+    node_10, node_11 = floats[NODE_1_0 + k], floats[NODE_1_1 + k]
+    is_upper = b >= a
+    rise_r = node_11 - node_01 if is_upper else node_10 - node_00
+    rise_c = node_01 - node_00 if is_upper else node_11 - node_10
+    up = floats[LAMP_Z + k] * spacing
+    up -= rise_r * floats[LAMP_X + k] + rise_c * floats[LAMP_Y + k]
+    normal = np.sqrt(spacing * spacing + rise_r * rise_r + rise_c * rise_c)
+    s = held(up / (normal * radius * floats[PER_DISTANCE + k]), -_ONE, _ONE)
+    return _HALF + s * (_PER_RISE - s * s * (_PER_RISE - _HALF))
 
 
 @inlined

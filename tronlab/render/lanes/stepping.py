@@ -111,16 +111,16 @@ def aim_lanes(grid, eye, grid_from_cam, middle, offset, depth, floats, ints):
     n_entering = np.int32(0)
     for k in range(n):
         inverse_r, inverse_c = floats[INVERSE_R + k], floats[INVERSE_C + k]
-        nudge = _NUDGE_CELLS * _least(abs(inverse_r), abs(inverse_c))
+        nudge = _NUDGE_CELLS * least(abs(inverse_r), abs(inverse_c))
         r_1 = (first_r - floats[START_R + k]) * inverse_r
         r_2 = (last_r - floats[START_R + k]) * inverse_r
         c_1 = (first_c - floats[START_C + k]) * inverse_c
         c_2 = (last_c - floats[START_C + k]) * inverse_c
-        entry = _greatest(_least(r_1, r_2), _least(c_1, c_2))
+        entry = _greatest(least(r_1, r_2), least(c_1, c_2))
         # A nudge may carry a ray past the bottom before it is told what lies there.
         to = bottom if floats[TOWARDS_Z + k] < _ZERO else top
         end = (to - floats[START_Z + k]) * floats[INVERSE_Z + k] + _TWO * nudge
-        end = _least(_least(_greatest(r_1, r_2), _greatest(c_1, c_2)), end)
+        end = least(least(_greatest(r_1, r_2), _greatest(c_1, c_2)), end)
         t = _greatest(entry, _ZERO)
         floats[DEPTH + k] = t
         floats[END + k] = end
@@ -230,13 +230,13 @@ def _skip_squares(grid, frame, n, floats, ints, level_start, top_level):
         c = _along(START_C, TOWARDS_C, k, t, low_c, high_c, floats)
         z = floats[START_Z + k] + t * floats[TOWARDS_Z + k]
         t_out = _way_out(k, r, c, ints[ROW + k], ints[COLUMN + k], size, floats)
-        passes = _least(z, z + t_out * floats[TOWARDS_Z + k]) > highest
+        passes = least(z, z + t_out * floats[TOWARDS_Z + k]) > highest
         t_down = (highest - z) * floats[INVERSE_Z + k] if z > highest else _ZERO
         t_next = t + (t_out + floats[NUDGE + k] if passes else t_down)
         was_among = ints[STATE + k] == IN_SQUARE
         goes_on = was_among & (t_next < floats[END + k])
         level = ints[LEVEL + k]
-        size_next = _least(_TWO * size, largest) if passes else _greatest(_HALF * size, _TWO)
+        size_next = least(_TWO * size, largest) if passes else _greatest(_HALF * size, _TWO)
         level_next = np.int32(min(level + 1, top_level) if passes else max(level - 1, 1))
         state = IN_CELL if (level == 1) & (not passes) else IN_SQUARE
         state = state if goes_on else MISSED
@@ -280,7 +280,7 @@ def _try_cells(grid, frame, n, floats, ints):
         r = _along(START_R, TOWARDS_R, k, t, low_r, high_r, floats)
         c = _along(START_C, TOWARDS_C, k, t, low_c, high_c, floats)
         t_out = _way_out(k, r, c, ints[ROW + k], ints[COLUMN + k], _ONE, floats)
-        t_out = _greatest(_least(t_out, end - t), _ZERO)
+        t_out = _greatest(least(t_out, end - t), _ZERO)
         dr, dc = floats[TOWARDS_R + k], floats[TOWARDS_C + k]
         node_00, node_10, node_11 = floats[NODE_00 + k], floats[NODE_10 + k], floats[NODE_11 + k]
         rise_r, rise_c = node_10 - node_00, node_11 - node_10
@@ -294,15 +294,15 @@ def _try_cells(grid, frame, n, floats, ints):
         ahead, gain = a - b, dr - dc
         t_diagonal = -ahead / gain
         t_diagonal = t_diagonal if (t_diagonal > _ZERO) & (t_diagonal < t_out) else t_out
-        over_0 = over - twist * _least(ahead, _ZERO)
-        over_1 = over + t_diagonal * fall - twist * _least(ahead + t_diagonal * gain, _ZERO)
-        over_2 = over + t_out * fall - twist * _least(ahead + t_out * gain, _ZERO)
+        over_0 = over - twist * least(ahead, _ZERO)
+        over_1 = over + t_diagonal * fall - twist * least(ahead + t_diagonal * gain, _ZERO)
+        over_2 = over + t_out * fall - twist * least(ahead + t_out * gain, _ZERO)
         t_first = t_diagonal * over_0 / (over_0 - over_1)
         t_second = t_diagonal + (t_out - t_diagonal) * over_1 / (over_1 - over_2)
         t_hit = t_first if over_1 <= _ZERO else t_second
         # The nudge may have carried the ray below the surface.
         t_back = over_0 / (twist * gain - fall if ahead < _ZERO else -fall)
-        t_hit = _greatest(_least(t_back, _ZERO), -floats[NUDGE + k]) if over_0 <= _ZERO else t_hit
+        t_hit = _greatest(least(t_back, _ZERO), -floats[NUDGE + k]) if over_0 <= _ZERO else t_hit
         is_hit = (over_0 <= _ZERO) | (over_1 <= _ZERO) | (over_2 <= _ZERO)
         t_next = t + t_out + floats[NUDGE + k]
         was_in_cell = ints[STATE + k] == IN_CELL
@@ -330,7 +330,7 @@ def _along(start, towards, k, t, low, high, floats):
 @inlined
 def held(value, low, high):
     """Give the value, or the limit that it is beyond."""
-    return _least(_greatest(value, low), high)
+    return least(_greatest(value, low), high)
 
 
 @inlined
@@ -339,11 +339,12 @@ def _way_out(k, r, c, row, column, size, floats):
     side_r = (np.float32(row) + floats[FAR_SIDE_R + k]) * size
     side_c = (np.float32(column) + floats[FAR_SIDE_C + k]) * size
     t_r, t_c = (side_r - r) * floats[INVERSE_R + k], (side_c - c) * floats[INVERSE_C + k]
-    return _greatest(_least(t_r, t_c), _ZERO)
+    return _greatest(least(t_r, t_c), _ZERO)
 
 
 @inlined
-def _least(a, b):
+def least(a, b):
+    """Give the smaller one; a comparison as vector instructions know it, unlike Python's min."""
     return a if a < b else b
 
 
