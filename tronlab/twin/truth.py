@@ -17,7 +17,6 @@ from tronlab.twin.config import (
     Deviation,
     LensConfig,
     RobotConfig,
-    SurfaceConfig,
     TrackerConfig,
     TrueLampConfig,
     WorldConfig,
@@ -131,10 +130,9 @@ def serial_number(spec: LaboratorySpec, config: WorldConfig) -> str:
     do the terrain, its surface and who renders it: nothing that is calibrated depends on them.
     It is a number below 2^31, as trackers have.
     """
-    usual = config.model_copy(update={"surface": SurfaceConfig()})
     parts = {
         "laboratory": spec.model_dump(mode="json"),
-        "world": usual.model_dump(mode="json", exclude={"faults", "terrain"}),
+        "world": config.model_dump(mode="json", exclude={"faults", "terrain", "surface"}),
     }
     digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).digest()
     return str(int.from_bytes(digest[:4]) >> 1)
