@@ -76,7 +76,7 @@ def light_at(grid, light, r, c, z, to_eye):
     cos_incidence = _dot(normal, to_lamp)
     if not cos_incidence > 0.0:
         return radiance, False
-    share = _visible_share(grid, light, r, c, z, to_lamp)
+    share = visible_share(grid, light, r, c, z, to_lamp)
     if share > 0.0:
         beam = light.intensity * cone_factor(light.cone, *to_lamp) * share / distance**2
         cos_emission = max(_dot(normal, to_eye), 0.0)
@@ -97,7 +97,7 @@ def _to_lamp(grid, light, r, c, z):
 
 
 @inlined
-def _visible_share(grid, light, r, c, z, to_lamp):
+def visible_share(grid, light, r, c, z, to_lamp):
     """Give the part of the lamp that is seen from just above the triangle a point lies on.
 
     The lamp is taken as the disk about its centre that faces the point.

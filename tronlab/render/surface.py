@@ -82,6 +82,15 @@ def triangle(height, i, j, is_upper):
 
 
 @inlined
+def height_at(grid, r, c):
+    """Give the height of the surface at a place."""
+    i = min(max(int(r), 0), grid.height_m.shape[0] - 2)
+    j = min(max(int(c), 0), grid.height_m.shape[1] - 2)
+    height, rise_r, rise_c = triangle(grid.height_m, i, j, c - j >= r - i)
+    return height + rise_r * (r - i) + rise_c * (c - j)
+
+
+@inlined
 def facet_normal(grid, r, c):
     """Give the unit normal of the triangle at a place; components along x, y and z of trs."""
     i = min(max(int(r), 0), grid.height_m.shape[0] - 2)

@@ -8,7 +8,7 @@ more when all rays have met the surface is overwritten.
 
 import numpy as np
 
-from tronlab.render.kernels import inlined, kernel
+from tronlab.render.kernels import kernel
 from tronlab.render.lanes.lookup import look_up
 from tronlab.render.lanes.rows import (
     COS_EMISSION,
@@ -43,7 +43,7 @@ from tronlab.render.lanes.rows import (
 from tronlab.render.lanes.stepping import HIT
 from tronlab.render.lighting import light_at
 from tronlab.render.photometry_kernel import LAMBERT, reflected
-from tronlab.render.surface import albedo_at, cone_factor, triangle
+from tronlab.render.surface import albedo_at, cone_factor, height_at
 
 _ZERO, _ONE = np.float32(0), np.float32(1)
 _LEAST_SHARE = np.float32(1e-6)
@@ -74,7 +74,7 @@ def light_lanes(
     if shadow_rays is not None:
         _follow_shadow_rays(grid, light, frame, n, floats, ints)
     if lamp_map is not None:
-        look_up(grid, light.albedo, lamp_map, frame, footprint, n_centres, n, floats, ints)
+        look_up(grid, light, lamp_map, frame, footprint, n_centres, n, floats, ints)
         _reflect(light, n, floats)
         if light.cone.cos_outer >= -1.0:
             _narrow(light.cone, n, floats)
@@ -121,18 +121,9 @@ def _follow_shadow_rays(grid, light, frame, n, floats, ints):
             r, c = float(floats[R + k]) + frame.row, float(floats[C + k]) + frame.column
             to_eye = float(floats[EYE_X + k]), float(floats[EYE_Y + k]), float(floats[EYE_Z + k])
             # 32 bits hold the height to a micrometre: not enough for a ray that starts there.
-            radiance, is_lit = light_at(grid, light, r, c, _height_at(grid, r, c), to_eye)
+            radiance, is_lit = light_at(grid, light, r, c, height_at(grid, r, c), to_eye)
             floats[RADIANCE + k] = radiance
             ints[IS_LIT + k] = is_lit
-
-
-@inlined
-def _height_at(grid, r, c):
-    """Give the height of the surface at a place."""
-    i = min(max(int(r), 0), grid.height_m.shape[0] - 2)
-    j = min(max(int(c), 0), grid.height_m.shape[1] - 2)
-    height, rise_r, rise_c = triangle(grid.height_m, i, j, c - j >= r - i)
-    return height + rise_r * (r - i) + rise_c * (c - j)
 
 
 @kernel

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from tronlab.render.kernels import inlined, kernel
 from tronlab.render.lamp.map import LampMap
+from tronlab.render.lanes.edges import settle_edges
 from tronlab.render.lanes.rows import (
     COLUMN,
     DEPTH,
@@ -97,12 +98,12 @@ def map_view(lamp_map: LampMap, radius_m: float) -> MapView:
 
 
 @kernel
-def look_up(grid, albedo, lamp_map, frame, footprint, n_centres, n, floats, ints):
+def look_up(grid, light, lamp_map, frame, footprint, n_centres, n, floats, ints):
     """Fill in LIGHT of all lanes that count, and IS_LIT of the pixel centres.
 
     Args:
         grid: The surface.
-        albedo: Of each node, or of shape (0, 0) for 1.
+        light: A ``Light``.
         lamp_map: A ``MapView``.
         frame: Where the lanes count from.
         footprint: Of a pixel; of no width: the light at the point is taken.
@@ -119,8 +120,10 @@ def look_up(grid, albedo, lamp_map, frame, footprint, n_centres, n, floats, ints
     is_mean = footprint.width > 0.0 and top_level >= 0
     n_points = n_centres if is_mean and level > 0 else n
     _look_at_points(grid, lamp_map, frame, n_points, floats, ints)
-    if albedo.shape[0] > 0:
-        _weigh_by_albedo(albedo, frame, n_points, floats)
+    if light.disk_m.shape[0] == 1:
+        settle_edges(grid, light, frame, n_points, floats, ints)
+    if light.albedo.shape[0] > 0:
+        _weigh_by_albedo(light.albedo, frame, n_points, floats)
     if is_mean:
         # As arrays of their own: LLVM has to see that the loops over them count from 0.
         first = n_centres if n > n_centres else 0
