@@ -30,8 +30,9 @@ class HeightfieldRenderer(ReferenceRenderer):
     """Renders one height map as fast as this machine can.
 
     What a camera sees is what the reference renderer sees, to a micrometre. The lamp's light is
-    worked out for all nodes once (``lamp.map``) and kept for the two lamps used last; between nodes
-    shadows are interpolated. With ``shadows: rays`` they are found by rays as in the reference.
+    worked out for all nodes once (``lamp.map``) and kept for the two lamps used last; where the
+    nodes around a point do not agree a ray settles it, or for a lamp with a radius the mean. With
+    ``shadows: rays`` shadows are found by rays as in the reference.
 
     The prefilter takes means over the ground, each part of it alike, not over what of it a slanting
     view shows. Against 64 rays a pixel on the laboratory's model that leaves 4 % of the mean
