@@ -23,7 +23,13 @@ ROOT = Path(__file__).parents[2]
 CONVENTIONS = ROOT / "docs/conventions.md"
 PAGES = sorted(
     page
-    for pattern in ("*.md", "docs/**/*.md", "campaigns/*.md", "drivers/*/README.md")
+    for pattern in (
+        "*.md",
+        "docs/**/*.md",
+        "campaigns/*.md",
+        "drivers/*/README.md",
+        "examples/*/README.md",
+    )
     for page in ROOT.glob(pattern)
 )
 LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")

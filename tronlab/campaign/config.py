@@ -268,7 +268,7 @@ class ScoreConfig(Model):
         "akaze-refined",
         "brisk-refined",
     )
-    """Navigation cores by name; ``tronlab score --core NAME`` says which there are."""
+    """Navigation cores, named as ``tronlab score --core`` takes them."""
 
 
 class CampaignConfig(Model):

@@ -10,8 +10,9 @@ from tronlab.campaign.config import Campaign, load_campaign
 from tronlab.campaign.rig import Rig, load_rig
 from tronlab.dataset.location import DATASET_NAME
 from tronlab.dataset.places import images_folder, journal_path, lock_path, part_of
-from tronlab.errors import CalibrationError, ConfigError, PlanError
-from tronlab.nav.cores import known_cores
+from tronlab.errors import CalibrationError, ConfigError, PlanError, ScoreError
+from tronlab.nav.cores import is_built_in
+from tronlab.nav.specs import parse_core
 from tronlab.planning.shots import Plan, database_indices, make_plan
 from tronlab.render.registry import check_renderer
 from tronlab.render.renderer import Lamp, RenderError, lamp_as_designed
@@ -139,13 +140,11 @@ def check_can_be_made(out_dir: Path) -> None:
 
 def _check_cores(campaign: Campaign) -> None:
     """Find a mistyped core before the recording, not when it shall be scored."""
-    known = known_cores()
-    for i, name in enumerate(campaign.config.score.cores):
-        if name not in known:
-            raise campaign.error(
-                f"no navigation core '{name}'; known cores: {', '.join(sorted(known))}",
-                "score", "cores", i,
-            )  # fmt: skip
+    for i, text in enumerate(campaign.config.score.cores):
+        try:
+            is_built_in(parse_core(text))
+        except ScoreError as error:
+            raise campaign.error(str(error), "score", "cores", i) from None
 
 
 def _check_renderers(campaign: Campaign, rig: Rig) -> None:

@@ -1,4 +1,4 @@
-"""What is generated from the models: JSON schemas for editors, and the page of all keys.
+"""What is generated from the models: JSON schemas for editors, and the pages of all keys.
 
 ``python -m tronlab.campaign.schema`` in a source checkout writes them anew.
 """
@@ -12,16 +12,20 @@ from pydantic import BaseModel
 
 from tronlab.campaign.config import CampaignConfig
 from tronlab.campaign.rig import RigConfig, RigVariant
+from tronlab.nav.settings import PRESETS, FeatureCoreSettings
+from tronlab.score.sweep import Sweep
 
 MODELS: Mapping[str, type[BaseModel]] = {
     "campaign": CampaignConfig,
     "rig": RigConfig,
     "rig-variant": RigVariant,
+    "sweep": Sweep,
 }
-DESCRIBED = ("campaign", "rig")
-"""Files whose keys the page lists; a variant of a rig has a rig's."""
 SCHEMA_DIR = Path("campaigns/schema")
-REFERENCE_PAGE = Path("docs/reference/campaign.md")
+CAMPAIGN_PAGE = Path("docs/reference/campaign.md")
+SWEEP_PAGE = Path("docs/reference/sweep.md")
+_WORDS = {"object": "section"}
+_ANY = {"array": "[]", "object": ".NAME"}
 _LIMITS = {
     "minimum": "at least",
     "exclusiveMinimum": "more than",
@@ -32,12 +36,12 @@ _LIMITS = {
 
 def generated_files() -> dict[Path, str]:
     """Give every generated file, by its path in a source checkout."""
-    schemas = {name: _schema(name) for name in MODELS}
     files = {
-        SCHEMA_DIR / f"{name}.schema.json": json.dumps(schema, indent=2) + "\n"
-        for name, schema in schemas.items()
+        SCHEMA_DIR / f"{name}.schema.json": json.dumps(_schema(model), indent=2) + "\n"
+        for name, model in MODELS.items()
     }
-    files[REFERENCE_PAGE] = _reference_page(schemas)
+    files[CAMPAIGN_PAGE] = "\n".join(_campaign_page()) + "\n"
+    files[SWEEP_PAGE] = "\n".join(_sweep_page()) + "\n"
     return files
 
 
@@ -48,29 +52,55 @@ def write_generated_files(checkout: Path) -> None:
         (checkout / path).write_text(text, encoding="utf-8")
 
 
-def _schema(name: str) -> dict[str, Any]:
-    schema = MODELS[name].model_json_schema()
+def _schema(model: type[BaseModel]) -> dict[str, Any]:
+    schema = model.model_json_schema()
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 
 
-def _reference_page(schemas: Mapping[str, dict[str, Any]]) -> str:
-    lines = [
-        "# Campaign and rig files: all keys",
-        "",
-        "Generated from the models by `python -m tronlab.campaign.schema`; do not edit.",
-        "Lengths in metres, times in seconds, angles in degrees: the end of a key says which.",
-    ]
-    for name in DESCRIBED:
-        schema = schemas[name]
-        lines += ["", f"## {name.capitalize()} file", ""]
-        lines += ["| key | type | default | |", "|---|---|---|---|"]
-        lines += _rows(schema, schema, prefix="")
-    lines += [
-        "",
+def _campaign_page() -> Iterator[str]:
+    yield from _head("Campaign and rig files: all keys")
+    # A variant of a rig has a rig's keys.
+    yield from _section("Campaign file", CampaignConfig)
+    yield from _section("Rig file", RigConfig)
+    yield ""
+    yield (
         "A rig file with the key `extends` takes over the rig file named there and replaces the"
-        " sections it has itself, whole.",
-    ]
-    return "\n".join(lines) + "\n"
+        " sections it has itself, whole."
+    )
+
+
+def _sweep_page() -> Iterator[str]:
+    yield from _head("Sweep files, and the settings of the built-in cores: all keys")
+    yield from _section("Sweep file", Sweep)
+    yield from _section("Settings of the built-in cores", FeatureCoreSettings)
+    yield from ("", "The built-in cores differ from these defaults by:", "")
+    yield from ("| core | |", "|---|---|")
+    defaults = _flat(FeatureCoreSettings().model_dump(mode="json"))
+    for name, preset in PRESETS.items():
+        settings = _flat(preset.model_dump(mode="json"))
+        changes = [f"`{k}: {_plain(v)}`" for k, v in settings.items() if v != defaults[k]]
+        yield f"| `{name}` | {', '.join(changes)} |"
+
+
+def _head(title: str) -> Iterator[str]:
+    yield from (f"# {title}", "")
+    yield "Generated from the models by `python -m tronlab.campaign.schema`; do not edit."
+    yield "Lengths in metres, times in seconds, angles in degrees: the end of a key says which."
+
+
+def _section(title: str, model: type[BaseModel]) -> Iterator[str]:
+    schema = _schema(model)
+    yield from ("", f"## {title}", "")
+    yield from ("| key | type | default | |", "|---|---|---|---|")
+    yield from _rows(schema, schema, prefix="")
+
+
+def _flat(settings: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in settings.items():
+        inner = isinstance(value, Mapping)
+        flat |= _flat(value, f"{prefix}{key}.") if inner else {f"{prefix}{key}": value}
+    return flat
 
 
 def _rows(node: Mapping[str, Any], schema: Mapping[str, Any], *, prefix: str) -> Iterator[str]:
@@ -83,7 +113,7 @@ def _rows(node: Mapping[str, Any], schema: Mapping[str, Any], *, prefix: str) ->
         text = field.get("description", "").replace("\n", " ").replace("|", "\\|")
         yield f"| `{prefix}{key}` | {_type(field, members)} | {default} | {text} |"
         for tag, member in members.items():
-            path = f"{prefix}{key}[]." if field.get("type") == "array" else f"{prefix}{key}."
+            path = f"{prefix}{key}{_ANY.get(field.get('type', ''), '')}."
             if tag:
                 about = member.get("description", "").replace("\n", " ")
                 yield f"| `{path}kind: {tag}` | | | {about} |"
@@ -96,7 +126,10 @@ def _members(field: Mapping[str, Any], schema: Mapping[str, Any]) -> dict[str, M
         if "discriminator" in union:
             mapping = union["discriminator"]["mapping"]
             return {tag: _resolved(reference, schema) for tag, reference in mapping.items()}
-    candidates = [field, field.get("items", {}), *field.get("anyOf", ())]
+    named = field.get("additionalProperties")
+    named = named if isinstance(named, dict) else {}
+    below = (field.get("items", {}), *field.get("anyOf", ()), named, *named.get("anyOf", ()))
+    candidates = [field, *below]
     references = [c["$ref"] for c in candidates if "$ref" in c]
     models = [_resolved(reference, schema) for reference in references]
     model = next((model for model in models if "properties" in model), None)
@@ -125,7 +158,8 @@ def _type(field: Mapping[str, Any], members: Mapping[str, Mapping[str, Any]]) ->
             else f"list of {field['items']['type']}"
         )
     limits = [f"{word} {_short(field[key])}" for key, word in _LIMITS.items() if key in field]
-    name = "file" if field.get("format") == "path" else field.get("type", "value")
+    kind: str = field.get("type", "value")
+    name = "file" if field.get("format") == "path" else _WORDS.get(kind) or kind
     return ", ".join([name, *limits])
 
 

@@ -11,6 +11,8 @@ import typer
 
 from tronlab.cli.budget import budget
 from tronlab.cli.calibrate import calibrate
+from tronlab.cli.compare import compare
+from tronlab.cli.database import database
 from tronlab.cli.dataset import dataset
 from tronlab.cli.demo import demo
 from tronlab.cli.exit_codes import INTERRUPTED, USER_ERROR
@@ -31,9 +33,10 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Test campaigns for optical navigation: plan, run, score and report.",
 )
-for command in (demo, plan, render, run, score, report, budget):
+for command in (demo, plan, render, run, score, report, compare, budget):
     app.command()(command)
 app.add_typer(calibrate, name="calibrate")
+app.add_typer(database, name="database")
 app.add_typer(dataset, name="dataset")
 app.add_typer(rig, name="rig")
 app.add_typer(terrain, name="terrain")

@@ -15,10 +15,12 @@ def summary_table(summary: Mapping[str, Any]) -> str:
     """
     from tronlab.report.paper import DATASET_0
 
+    n_wide = max([34, *(len(core) + 1 for core in summary)])
+    heading = "position error, % of line of sight"
     lines = [
-        "position error, % of line of sight     mean      max   solved",
-        *(_summary_row(core, statistics) for core, statistics in summary.items()),
-        f"{'the paper, AKAZE and BRISK':<34}"
+        f"{heading:<{n_wide}}{'mean':>9}{'max':>9}{'solved':>9}",
+        *(_summary_row(core, statistics, n_wide) for core, statistics in summary.items()),
+        f"{'the paper, AKAZE and BRISK':<{n_wide}}"
         f"{f'< {DATASET_0.mean_below_pct_los:g}':>9}{f'< {DATASET_0.max_below_pct_los:g}':>9}",
     ]
     return "\n".join(lines)
@@ -41,8 +43,9 @@ def missing_poses(results: "ScoreResults") -> list[str]:
     return lines
 
 
-def _summary_row(core: str, statistics: Mapping[str, Any]) -> str:
+def _summary_row(core: str, statistics: Mapping[str, Any], n_wide: int) -> str:
     error = statistics["position_error_pct_los"]
     mean, maximum = ("-" if error[key] is None else f"{error[key]:.3f}" for key in ("mean", "max"))
-    solved = f"{statistics['n_ok']}/{statistics['n_shots']}"
-    return f"{core:<34}{mean:>9}{maximum:>9}{solved:>9}"
+    # An earlier version counted shots only.
+    solved = f"{statistics['n_ok']}/{statistics.get('n_answers', statistics['n_shots'])}"
+    return f"{core:<{n_wide}}{mean:>9}{maximum:>9}{solved:>9}"

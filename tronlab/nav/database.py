@@ -1,8 +1,13 @@
 """The database: landmarks found in the reference views, each with its place on the terrain."""
 
+import hashlib
+import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,7 +15,11 @@ from tronlab.dataset.records import ReferenceView
 from tronlab.errors import ScoreError
 from tronlab.geometry.camera import CameraModel
 from tronlab.geometry.poses import FloatArray
-from tronlab.nav.features import Detector, Features, Mask, detect_features
+from tronlab.nav.core import CoreContext, Mask
+from tronlab.nav.features import Detector, detect_features, make_detector
+from tronlab.nav.settings import DetectorSettings
+from tronlab.nav.sources import digest_of_stage
+from tronlab.nav.stages import stage_key
 
 MIN_LANDMARKS = 50
 """A database smaller than this cannot serve any shot."""
@@ -18,10 +27,31 @@ MAX_DEPTH_STEP_PX = 6.0
 """Largest difference of depth between neighbouring pixels, in sizes of a pixel on the terrain, over
 which depth is interpolated; a larger one is an edge, and the landmark is left out."""
 
+LANDMARK_ARRAYS = {"p_trs_m": "<f8", "size_m": "<f8", "descriptors": "u1", "view": "<i8"}
+"""Names and types of the arrays with one row a landmark."""
+
 
 @dataclass(frozen=True, slots=True)
+class Landmarks:
+    """Landmarks of one reference view."""
+
+    p_trs_m: FloatArray
+    """Shape (n, 3)."""
+    size_m: FloatArray
+    """Shape (n,)."""
+    descriptors: NDArray[np.uint8]
+    """Shape (n, b)."""
+
+    def __len__(self) -> int:
+        return len(self.p_trs_m)
+
+
+@dataclass(frozen=True)
 class Database:
-    """Landmarks of all reference views; one physical point may appear once per view."""
+    """Landmarks of all reference views; one physical point may appear once per view.
+
+    The arrays may be mapped from a file and must not be written to.
+    """
 
     p_trs_m: FloatArray
     """Shape (n, 3)."""
@@ -31,34 +61,111 @@ class Database:
     """Shape (n, b)."""
     view: NDArray[np.int64]
     """Index of the reference view each came from, shape (n,)."""
+    p_views_trs_m: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
+    """Where the camera of each reference view was, shape (views, 3); empty if nobody knows."""
+    detector: DetectorSettings = field(default_factory=DetectorSettings)
+    """How the landmarks were found."""
+    pruned_by: tuple[str, ...] = ()
+    """Datasets whose scores decided which landmarks stayed, by uuid: a score on one of them says
+    little about other images."""
+    known_digest: str = field(default="", repr=False, compare=False)
+    """What ``digest`` shall give, if it is known: that of a file."""
 
     def __len__(self) -> int:
         return len(self.p_trs_m)
 
+    @cached_property
+    def digest(self) -> str:
+        """Get what tells this database from others: it follows from its contents alone."""
+        if self.known_digest:
+            return self.known_digest
+        digest = DatabaseDigest(self.detector)
+        digest.add(self.p_trs_m, self.size_m, self.descriptors, self.view)
+        return digest.of(self.p_views_trs_m)
 
-def build_database(
-    references: Sequence[ReferenceView], camera: CameraModel, detector: Detector
+
+class DatabaseDigest:
+    """Digest of a database that comes in pieces, the same however it is cut."""
+
+    def __init__(self, detector: DetectorSettings) -> None:
+        self._detector = detector
+        self._arrays = {name: hashlib.blake2b(digest_size=20) for name in LANDMARK_ARRAYS}
+
+    def add(self, *arrays: NDArray[Any]) -> None:
+        """Take in some landmarks: their rows of ``LANDMARK_ARRAYS``, in that order."""
+        for (name, dtype), array in zip(LANDMARK_ARRAYS.items(), arrays, strict=True):
+            self._arrays[name].update(np.ascontiguousarray(array, dtype).data)
+
+    def of(self, p_views_trs_m: FloatArray) -> str:
+        """Give the digest of all taken in, seen from these places, shape (views, 3)."""
+        views = hashlib.blake2b(np.ascontiguousarray(p_views_trs_m, "<f8").data, digest_size=20)
+        parts = {
+            "detector": self._detector.model_dump(mode="json"),
+            "views": views.hexdigest(),
+            **{name: digest.hexdigest() for name, digest in self._arrays.items()},
+        }
+        text = json.dumps(parts, sort_keys=True)
+        return hashlib.blake2b(text.encode(), digest_size=20).hexdigest()
+
+
+def build_database(context: CoreContext, settings: DetectorSettings) -> Database:
+    """Find the landmarks of a context's reference views, or give those its stage store has kept.
+
+    Raises:
+        ScoreError: There are no reference views, or too few landmarks on them.
+    """
+    if not context.references_key:
+        return find_landmarks(context.references, context.camera, settings)
+    key = stage_key(
+        references=context.references_key,
+        detector=settings.model_dump(mode="json"),
+        opencv=cv2.__version__,
+        sources=digest_of_stage("database"),
+    )
+    kept = context.stages.load("database", key)
+    if kept is not None:
+        views = np.array([view.trs_from_cam.translation for view in context.references])
+        rows = kept["p_trs_m"], kept["size_m"], kept["descriptors"], kept["view"]
+        return Database(*rows, views, settings)
+    database = find_landmarks(context.references, context.camera, settings)
+    found = {name: getattr(database, name) for name in LANDMARK_ARRAYS}
+    context.stages.save("database", key, found)
+    return database
+
+
+def find_landmarks(
+    references: Sequence[ReferenceView], camera: CameraModel, settings: DetectorSettings
 ) -> Database:
     """Find the landmarks of every reference view.
 
     Raises:
         ScoreError: There are no reference views, or too few landmarks on them.
     """
-    parts = [_landmarks(view, i, camera, detector) for i, view in enumerate(references)]
-    n_landmarks = sum(len(part) for part in parts)
-    if n_landmarks < MIN_LANDMARKS:
-        raise ScoreError(
-            f"{detector.name}: {len(references)} reference views give {n_landmarks} landmarks,"
-            f" at least {MIN_LANDMARKS} needed; check that the campaign names database poses and"
-            " that the reference images show lit terrain"
-        )
-    parts = [part for part in parts if len(part)]
+    detector = make_detector(settings)
+    parts = [landmarks_of_view(view, camera, detector) for view in references]
+    check_enough(settings, n_views=len(parts), n_landmarks=sum(map(len, parts)))
     return Database(
         np.concatenate([part.p_trs_m for part in parts]),
         np.concatenate([part.size_m for part in parts]),
-        np.concatenate([part.descriptors for part in parts]),
-        np.concatenate([part.view for part in parts]),
+        np.concatenate([part.descriptors for part in parts if len(part)]),
+        np.repeat(np.arange(len(parts)), [len(part) for part in parts]),
+        np.array([view.trs_from_cam.translation for view in references]),
+        settings,
     )
+
+
+def check_enough(settings: DetectorSettings, *, n_views: int, n_landmarks: int) -> None:
+    """Refuse a database that cannot serve any shot.
+
+    Raises:
+        ScoreError: It has too few landmarks.
+    """
+    if n_landmarks < MIN_LANDMARKS:
+        raise ScoreError(
+            f"{settings.features}: {n_views} reference views give {n_landmarks} landmarks,"
+            f" at least {MIN_LANDMARKS} needed; check that the campaign names database poses and"
+            " that the reference images show lit terrain"
+        )
 
 
 def interpolate_depth(depth_m: NDArray[np.float32], uv: FloatArray, *, step: float) -> FloatArray:
@@ -86,32 +193,18 @@ def interpolate_depth(depth_m: NDArray[np.float32], uv: FloatArray, *, step: flo
     return np.where(is_inside & is_smooth, depth, np.nan)
 
 
-def _landmarks(
-    view: ReferenceView, index: int, camera: CameraModel, detector: Detector
-) -> Database:
+def landmarks_of_view(view: ReferenceView, camera: CameraModel, detector: Detector) -> Landmarks:
+    """Find the landmarks of one reference view: its features whose depth is known."""
     is_usable: Mask = view.mask & np.isfinite(view.depth_m)
     features = detect_features(view.image, is_usable, detector)
     depth_m = interpolate_depth(
         view.depth_m, features.uv, step=MAX_DEPTH_STEP_PX / max(camera.fx_px, camera.fy_px)
     )
     good = np.flatnonzero(np.isfinite(depth_m))
-    return _place(features, good, depth_m[good], view=view, index=index, camera=camera)
-
-
-def _place(
-    features: Features,
-    good: NDArray[np.intp],
-    depth_m: FloatArray,
-    *,
-    view: ReferenceView,
-    index: int,
-    camera: CameraModel,
-) -> Database:
     rays = camera.rays(features.uv[good])
-    p_cam = np.column_stack([rays, np.ones(len(rays))]) * depth_m[:, None]
-    return Database(
+    p_cam = np.column_stack([rays, np.ones(len(good))]) * depth_m[good, None]
+    return Landmarks(
         view.trs_from_cam.apply(p_cam) if len(good) else np.empty((0, 3)),
-        features.size_px[good] * depth_m / camera.fx_px,
+        features.size_px[good] * depth_m[good] / camera.fx_px,
         features.descriptors[good],
-        np.full(len(good), index),
     )

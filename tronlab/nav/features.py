@@ -1,9 +1,9 @@
 """Features of an image: found, described, bounded in number and spread over the image."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from tronlab.errors import TronlabError
 from tronlab.geometry.poses import FloatArray
-
-GreyImage: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
-Mask: TypeAlias = NDArray[np.bool_]
+from tronlab.nav.core import GreyImage, Mask
+from tronlab.nav.settings import DetectorSettings
 
 STRETCH_PERCENTILES = (0.5, 99.5)
 """Grey values of the usable area that become black and white: detection thresholds then mean the
@@ -71,12 +70,11 @@ class Detector:
     """Most features kept of an image."""
     window_per_size: float
     """Radius of the descriptor's window over the size of the keypoint."""
-    trusted_ratio: float
-    """Distance of a match, over that to its nearest rival, up to which it is trusted
-    without a look at geometry."""
     is_cheap_to_describe: bool
     """True if describing after detecting repeats no work, so that only the features kept are
     described."""
+    cell_px: float = 48.0
+    """Side of the square cells over which features are spread."""
 
 
 def _opencv_factory(name: str) -> Callable[..., KeypointFinder]:
@@ -85,26 +83,40 @@ def _opencv_factory(name: str) -> Callable[..., KeypointFinder]:
     return getattr(home, name)
 
 
-def _make(factory: str, **settings: float) -> KeypointFinder:
-    return _opencv_factory(factory)(**settings)
+def _akaze(threshold: float) -> KeypointFinder:
+    return _opencv_factory("AKAZE_create")(threshold=threshold)
+
+
+def _brisk(threshold: float) -> KeypointFinder:
+    return _opencv_factory("BRISK_create")(thresh=round(threshold))
 
 
 AKAZE = Detector(
     name="akaze",
-    make=partial(_make, "AKAZE_create", threshold=0.001),
+    make=partial(_akaze, 0.001),
     n_max=2000,
     window_per_size=5.0,
-    trusted_ratio=0.33,
     is_cheap_to_describe=False,
 )
 BRISK = Detector(
     name="brisk",
-    make=partial(_make, "BRISK_create", thresh=30),
+    make=partial(_brisk, 30.0),
     n_max=3000,
     window_per_size=0.85,
-    trusted_ratio=0.36,
     is_cheap_to_describe=True,
 )
+
+
+def make_detector(settings: DetectorSettings) -> Detector:
+    """Give the detector that settings ask for."""
+    base, factory = {"akaze": (AKAZE, _akaze), "brisk": (BRISK, _brisk)}[settings.features]
+    threshold = settings.threshold
+    return replace(
+        base,
+        make=base.make if threshold is None else partial(factory, threshold),
+        n_max=settings.n_max or base.n_max,
+        cell_px=settings.cell_px,
+    )
 
 
 def detect_features(image: GreyImage, mask: Mask, detector: Detector) -> Features:
@@ -136,7 +148,7 @@ def grey_8_bit(image: GreyImage, mask: Mask) -> NDArray[np.uint8]:
 
 
 def spread_over_image(
-    uv: FloatArray, strength: FloatArray, *, n_max: int, cell_px: float = 48.0
+    uv: FloatArray, strength: FloatArray, *, n_max: int, cell_px: float
 ) -> NDArray[np.intp]:
     """Choose features in turns: every cell of the image gives its strongest, then its second.
 
@@ -209,7 +221,10 @@ def _choose(
     rows, columns = clearance_px.shape
     clearance = clearance_px[row.clip(0, rows - 1), column.clip(0, columns - 1)]
     inside = np.flatnonzero(clearance > detector.window_per_size * size)
-    chosen = inside[spread_over_image(uv[inside], strength[inside], n_max=detector.n_max)]
+    spread = spread_over_image(
+        uv[inside], strength[inside], n_max=detector.n_max, cell_px=detector.cell_px
+    )
+    chosen = inside[spread]
     return [keypoints[i] for i in chosen], chosen
 
 

@@ -1,8 +1,8 @@
 """The report of one scored dataset: figures, tables and the page, written and put in place."""
 
 import os
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -10,6 +10,7 @@ import pandas as pd
 
 from tronlab.errors import ScoreError
 from tronlab.report.curves import error_against_range, error_distribution
+from tronlab.report.evaluation import EvaluationSettings, evaluate
 from tronlab.report.histograms import error_histograms
 from tronlab.report.page import CoreSection, Page, PageFigure, render_page
 from tronlab.report.paper import SOURCE
@@ -23,60 +24,109 @@ from tronlab.report.pictures import (
 from tronlab.report.recording import Recording, read_recording
 from tronlab.report.style import CoreStyle, core_styles, save_chart, save_picture
 from tronlab.report.tables import (
-    Table,
     cores_of,
     effort_table,
     paper_table,
     shots_table,
-    statistics_table,
-    to_csv,
-    to_latex,
     worst_first,
     worst_shots_table,
+)
+from tronlab.score.evaluation.export import (
+    WORKBOOK,
+    Table,
+    TableFormat,
+    check_formats,
+    frame_table,
+    write_tables,
 )
 from tronlab.score.results import ScoreResults, load_results
 
 PAGE_NAME = "report.html"
 MAX_PAGE_SHOTS = 2000
 """More shots of a core than this are not listed on the page, which must stay quick to open."""
-_OWN_FILES = ("figures/histograms_*", "figures/worst_*", "figures/contact_sheet.*")
+_OWN_TABLES = (
+    "paper",
+    "statistics",
+    "seeds",
+    "recall",
+    "bins_*",
+    "consistency",
+    "effort",
+    "worst_shots",
+    "scores",
+)
+_OWN_FILES = (
+    "figures/histograms_*",
+    "figures/worst_*",
+    "figures/contact_sheet.*",
+    "figures/boxes_*",
+    f"tables/{WORKBOOK}",
+    *(f"tables/{n}.{end}" for n in _OWN_TABLES for end in ("csv", "tex", "json", "parquet")),
+)
 """Files of an earlier report that the new one may no longer have."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Answer:
+    """One answer to a shot."""
+
+    shot_id: int
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
+class ReportSettings:
+    """What a person may choose of a report."""
+
+    formats: tuple[TableFormat, ...] = ("csv", "latex")
+    """What the tables are written as."""
+    evaluation: EvaluationSettings = field(default_factory=EvaluationSettings)
 
 
 @dataclass(frozen=True, slots=True)
 class _Job:
     results: ScoreResults
+    settings: ReportSettings
     styles: Mapping[str, CoreStyle]
-    worst: Mapping[str, int]
-    """Core to the id of its worst shot."""
-    sheet: tuple[int, ...]
-    """Shots of the contact sheet."""
+    worst: Mapping[str, _Answer]
+    """Core to its worst answer."""
+    sheet: tuple[_Answer, ...]
+    """Those of the contact sheet."""
     sheet_core: str
     """The core whose inliers the contact sheet shows."""
     recording: Recording
     staging: Path
 
 
-def build_report(directory: Path, *, announce: Callable[[str], None] | None = None) -> Path:
+def build_report(
+    directory: Path,
+    *,
+    settings: ReportSettings | None = None,
+    announce: Callable[[str], None] | None = None,
+) -> Path:
     """Write ``figures/``, ``tables/`` and ``report.html`` into a directory that holds scores.
 
     Everything is made beside the old report first; only then is each file replaced, the page last.
 
     Args:
         directory: Where ``tronlab score`` wrote its results.
+        settings: What of it a person chose.
         announce: Told what a person should know.
 
     Returns:
         The path of the page.
 
     Raises:
-        ScoreError: The directory holds no scores, they cannot be read, or it cannot be written to.
+        ScoreError: The directory holds no scores, they cannot be read, it cannot be written to, or
+            a package that a table format needs is not installed.
     """
     say = announce or _keep_quiet
+    chosen = settings or ReportSettings()
+    check_formats(chosen.formats)
     results = load_results(directory)
     try:
         with TemporaryDirectory(prefix=".report-", dir=directory) as staging:
-            job = _job(results, Path(staging))
+            job = _job(results, chosen, Path(staging))
             if job.recording.missing:
                 say(f"report without pictures: {job.recording.missing}")
             page = _make_page(job)
@@ -87,40 +137,44 @@ def build_report(directory: Path, *, announce: Callable[[str], None] | None = No
     return directory / PAGE_NAME
 
 
-def _job(results: ScoreResults, staging: Path) -> _Job:
+def _job(results: ScoreResults, settings: ReportSettings, staging: Path) -> _Job:
     scores = results.scores
     cores = cores_of(scores)
     if not cores:
         raise ScoreError(f"{results.directory}: the scores are empty; run tronlab score again")
     for name in ("figures", "tables"):
         (staging / name).mkdir()
-    worst = {core: int(worst_first(_of(scores, core))["shot_id"].iloc[0]) for core in cores}
+    worst = {core: _worst(_of(scores, core)) for core in cores}
     sheet_core = _best_core(scores, cores)
-    sheet = tuple(shots_over_range(_of(scores, sheet_core)))
+    of_sheet = _of(scores, sheet_core)
+    sheet_seed = int(of_sheet["seed"].iloc[0])
+    sheet = tuple(shots_over_range(of_sheet[of_sheet["seed"] == sheet_seed]))
     return _Job(
         results=results,
+        settings=settings,
         styles=core_styles(cores),
         worst=worst,
-        sheet=sheet,
+        sheet=tuple(_Answer(shot_id, sheet_seed) for shot_id in sheet),
         sheet_core=sheet_core,
-        recording=read_recording(results, {*sheet, *worst.values()}),
+        recording=read_recording(results, {*sheet, *(answer.shot_id for answer in worst.values())}),
         staging=staging,
     )
 
 
 def _make_page(job: _Job) -> Page:
     scores, reasons = job.results.scores, job.results.reasons
-    paper, statistics = paper_table(scores), statistics_table(scores)
+    paper, effort = paper_table(scores), effort_table(scores)
     worst_shots = worst_shots_table(scores, reasons)
-    effort = effort_table(scores)
-    for table in (paper, statistics, effort, worst_shots):
-        _save_table(table, job.staging / "tables")
+    evaluation = evaluate(
+        scores, job.styles, settings=job.settings.evaluation, folder=job.staging / "figures"
+    )
+    _save_tables(job, [paper, *evaluation.tables, effort, worst_shots])
     recording = job.recording
     return Page(
         title=_title(recording),
         paper=paper,
         paper_source=SOURCE,
-        statistics=statistics,
+        evaluation=evaluation,
         effort=effort,
         cores=[_core_section(job, core) for core in job.styles],
         curves=_curves(job),
@@ -169,7 +223,7 @@ def _pictures(job: _Job) -> list[PageFigure]:
     folder = job.staging / "figures"
     core = job.sheet_core
     sheet = contact_sheet(
-        [_picture(job, core, shot_id) for shot_id in job.sheet], f"inliers of {core}"
+        [_picture(job, core, answer) for answer in job.sheet], f"inliers of {core}"
     )
     shown = [
         PageFigure(
@@ -177,13 +231,13 @@ def _pictures(job: _Job) -> list[PageFigure]:
             alt=f"{len(job.sheet)} shots over the range with the inliers of {core}",
         )
     ]
-    for core, shot_id in job.worst.items():
+    for core, answer in job.worst.items():
         slug = job.styles[core].slug
-        figure = single_picture(_picture(job, core, shot_id), f"worst shot of {core}")
+        figure = single_picture(_picture(job, core, answer), f"worst shot of {core}")
         shown.append(
             PageFigure(
                 save_picture(figure, folder, f"worst_{slug}"),
-                alt=f"Worst shot of {core}: shot {shot_id}",
+                alt=f"Worst shot of {core}: shot {answer.shot_id}",
                 anchor=f"worst-{slug}",
                 core=core,
             )
@@ -191,14 +245,15 @@ def _pictures(job: _Job) -> list[PageFigure]:
     return shown
 
 
-def _picture(job: _Job, core: str, shot_id: int) -> ShotPicture:
+def _picture(job: _Job, core: str, answer: _Answer) -> ShotPicture:
     rows = _of(job.results.scores, core)
-    shot = job.recording.images[shot_id]
+    is_it = (rows["shot_id"] == answer.shot_id) & (rows["seed"] == answer.seed)
+    shot = job.recording.images[answer.shot_id]
     return ShotPicture(
         image=shot.image,
         mask=shot.mask,
-        uv_inliers=job.results.uv_inliers(core, shot_id),
-        caption=shot_caption(rows[rows["shot_id"] == shot_id].iloc[0]),
+        uv_inliers=job.results.uv_inliers(core, answer.shot_id, answer.seed),
+        caption=shot_caption(rows[is_it].iloc[0]),
     )
 
 
@@ -212,9 +267,21 @@ def _provenance(results: ScoreResults, recording: Recording) -> list[tuple[str, 
     ]
 
 
-def _save_table(table: Table, folder: Path) -> None:
-    (folder / f"{table.name}.csv").write_text(to_csv(table), encoding="utf-8")
-    (folder / f"{table.name}.tex").write_text(to_latex(table), encoding="utf-8")
+def _save_tables(job: _Job, tables: Sequence[Table]) -> None:
+    """Write the tables of the page; the formats that keep types also have every row of the scores.
+
+    CSV has these already: ``scores.csv``.
+    """
+    every = frame_table("scores", "Every answer of every core", job.results.scores)
+    folder = job.staging / "tables"
+    for name in job.settings.formats:
+        has_types = name in ("xlsx", "json", "parquet")
+        write_tables(folder, [*tables, every] if has_types else tables, [name])
+
+
+def _worst(rows: pd.DataFrame) -> _Answer:
+    worst = worst_first(rows).iloc[0]
+    return _Answer(int(worst["shot_id"]), int(worst["seed"]))
 
 
 def _put_in_place(staging: Path, directory: Path) -> None:

@@ -34,16 +34,16 @@ def error_against_range(scores: pd.DataFrame, styles: Mapping[str, CoreStyle]) -
         axes.set_xlabel(RANGE_LABEL + (", crosses: no pose" if is_missing else ""))
         _finish(axes, is_empty=not _has_error(scores))
         if _has_error(scores):
-            _log_axis(axes, "y")
+            log_axis(axes, "y")
         _draw_missed(axes, scores, styles)
         axes.set_ylabel(ERROR_LABEL)
     return figure
 
 
 def error_distribution(scores: pd.DataFrame, styles: Mapping[str, CoreStyle]) -> Figure:
-    """Draw, for each core, the share of all its shots whose position error is at most x.
+    """Draw, for each core, the share of all its answers whose position error is at most x.
 
-    A shot without a pose counts as a shot: the curve of a core that misses some ends below 100 %.
+    One without a pose counts: the curve of a core that misses some ends below 100 %.
     """
     with style_context():
         figure = new_figure(7.2, 4.0)
@@ -51,10 +51,10 @@ def error_distribution(scores: pd.DataFrame, styles: Mapping[str, CoreStyle]) ->
         for core, style in styles.items():
             _draw_steps(axes, scores[scores["core"] == core], core, style)
         axes.set_ylim(0.0, 104.0)
-        axes.set_ylabel("share of all shots [%]")
+        axes.set_ylabel("share of all answers [%]")
         _finish(axes, is_empty=not _has_error(scores))
         if _has_error(scores):
-            _log_axis(axes, "x")
+            log_axis(axes, "x")
         axes.set_xlabel(ERROR_LABEL)
     return figure
 
@@ -161,12 +161,20 @@ def _finish(axes: Axes, *, is_empty: bool) -> None:
     axes.legend(fontsize=8, ncols=2, loc="lower left", bbox_to_anchor=(0.0, 1.0))
 
 
-def _log_axis(axes: Axes, which: str) -> None:
+def log_axis(axes: Axes, which: str, *, dense_until: float = 300.0) -> None:
+    """Make the axis ``x`` or ``y`` logarithmic, with plain numbers at it.
+
+    Args:
+        axes: Whose; everything is drawn already.
+        which: ``x`` or ``y``.
+        dense_until: If the largest value is less than this times the smallest, 2 and 5 of each
+            decade have numbers as well.
+    """
     axis = axes.yaxis if which == "y" else axes.xaxis
     (axes.set_yscale if which == "y" else axes.set_xscale)("log")
     low, high = axis.get_view_interval()
     # Decades alone leave an axis of less than two decades with a single number on it.
-    subs = (1.0, 2.0, 5.0) if high / max(low, 1e-300) < 300 else (1.0,)
+    subs = (1.0, 2.0, 5.0) if high / max(low, 1e-300) < dense_until else (1.0,)
     axis.set_major_locator(LogLocator(subs=subs))
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_formatter(NullFormatter())

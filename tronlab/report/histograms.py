@@ -66,9 +66,13 @@ def position_error_pct_los(scores: pd.DataFrame, axis: str) -> FloatArray:
 
 
 def pose_count_text(rows: pd.DataFrame) -> str:
-    """Say how many shots of one core have a pose, and why the others have none."""
+    """Say how many shots of one core have a pose, and why the others have none.
+
+    With several seeds a shot has as many answers.
+    """
     n_ok = int((rows["status"] == "ok").sum())
-    text = f"{n_ok} of {len(rows)} shots with a pose"
+    what = "shots" if rows["shot_id"].is_unique else "answers"
+    text = f"{n_ok} of {len(rows)} {what} with a pose"
     missing = Counter(str(status) for status in rows["status"] if status != "ok")
     if missing:
         reasons = ", ".join(f"{n} {status}" for status, n in sorted(missing.items()))

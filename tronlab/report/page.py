@@ -5,10 +5,15 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup, escape
 
-from tronlab.report.tables import Table
+from tronlab.score.evaluation.export import Table
+
+if TYPE_CHECKING:
+    from tronlab.report.evaluation import Evaluation
 
 _MEDIA_TYPES = {".png": "image/png", ".jpg": "image/jpeg"}
 
@@ -51,7 +56,7 @@ class Page:
     title: str
     paper: Table
     paper_source: str
-    statistics: Table
+    evaluation: "Evaluation"
     effort: Table
     cores: Sequence[CoreSection]
     curves: Sequence[PageFigure]
@@ -94,9 +99,18 @@ def render_template(name: str, page: object) -> str:
         lstrip_blocks=True,
     )
     environment.filters["keep_units_whole"] = _keep_units_whole
+    environment.filters["interval_below"] = _interval_below
     return environment.get_template(name).render(page=page)
 
 
 def _keep_units_whole(heading: str) -> str:
     """Let no line end inside the unit of a heading."""
     return re.sub(r"\[.*?\]", lambda unit: unit.group().replace(" ", "\N{NO-BREAK SPACE}"), heading)
+
+
+def _interval_below(cell: str) -> Markup:
+    """Put the interval of an estimate into a second line."""
+    value, _, interval = cell.partition(" ")
+    if not interval:
+        return escape(value)
+    return Markup("{}<br><small>{}</small>").format(value, interval)

@@ -23,7 +23,7 @@ from tronlab.report.plan_tables import (
     shots_table,
 )
 from tronlab.report.style import save_chart, save_picture
-from tronlab.report.tables import Table, to_csv
+from tronlab.score.evaluation.export import Table, to_csv
 
 PAGE_NAME = "index.html"
 DOCUMENT_NAME = "plan.json"

@@ -15,7 +15,7 @@ from tronlab.planning.summary import (
     counts_by_check,
     nearest_text,
 )
-from tronlab.report.tables import Cell, Column, Table
+from tronlab.score.evaluation.export import Cell, Column, Table
 
 FORMAT = "tronlab-plan-1"
 """Layout of the JSON document."""

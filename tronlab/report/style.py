@@ -64,10 +64,15 @@ def core_styles(cores: Sequence[str]) -> dict[str, CoreStyle]:
     }
 
 
+def slug_of(name: str) -> str:
+    """Make a name fit for a file name."""
+    return re.sub(r"[^A-Za-z0-9_-]+", "_", name) or "_"
+
+
 def _unique_slugs(cores: Sequence[str]) -> dict[str, str]:
     slugs: dict[str, str] = {}
     for core in cores:
-        slug = re.sub(r"[^A-Za-z0-9_-]+", "_", core) or "_"
+        slug = slug_of(core)
         while slug in slugs.values():
             slug += "_"
         slugs[core] = slug

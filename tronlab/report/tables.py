@@ -1,12 +1,6 @@
-"""The report's tables, as values that CSV, LaTeX and HTML are written from.
+"""The report's tables of shots, and of what the paper states."""
 
-A cell holds a number in the unit its column names; only the formatted forms round it.
-"""
-
-import csv
-import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
@@ -14,80 +8,18 @@ import pandas as pd
 
 from tronlab.geometry.poses import FloatArray
 from tronlab.report.paper import DATASET_0, PAPER_CORES
-from tronlab.score.statistics import statistics
+from tronlab.score.evaluation.export import MISSING, Cell, Column, Table
+from tronlab.score.evaluation.statistics import statistics
 
-Cell: TypeAlias = str | int | float
 Reasons: TypeAlias = Mapping[tuple[str, int], str]
 """Why a core gave no pose, by core and shot id."""
-MISSING = "\N{EN DASH}"
 N_WORST = 5
 """Rows of the table of worst shots, a core."""
 
 _POSITION = "position_error_pct_los"
 _ROTATION = "rotation_error_deg"
-_STATISTICS = ("mean", "median", "rms", "p95", "max")
 _TIMES = ("time_detect_s", "time_match_s", "time_pose_s")
 _COUNTS = ("n_features", "n_matches", "n_inliers")
-
-
-@dataclass(frozen=True, slots=True)
-class Column:
-    """One column: its name in files, its heading for people, how its numbers are shown."""
-
-    name: str
-    """Name with unit suffix, as CSV has it."""
-    heading: str
-    form: str = ""
-    """Format specification; empty for text and counts."""
-
-
-@dataclass(frozen=True, slots=True)
-class Table:
-    """A table of the report."""
-
-    name: str
-    """File name without ending."""
-    caption: str
-    columns: tuple[Column, ...]
-    rows: tuple[tuple[Cell, ...], ...]
-
-    @property
-    def headings(self) -> tuple[str, ...]:
-        """Get the headings for people."""
-        return tuple(column.heading for column in self.columns)
-
-    @property
-    def formatted(self) -> tuple[tuple[str, ...], ...]:
-        """Get the cells as people read them."""
-        return tuple(
-            tuple(
-                _formatted(cell, column.form)
-                for cell, column in zip(row, self.columns, strict=True)
-            )
-            for row in self.rows
-        )
-
-    @property
-    def is_number(self) -> tuple[bool, ...]:
-        """Get, for each column, whether it holds numbers, which are aligned to the right."""
-        return tuple(
-            bool(self.rows) and all(not isinstance(row[i], str) for row in self.rows)
-            for i in range(len(self.columns))
-        )
-
-
-def statistics_table(scores: pd.DataFrame) -> Table:
-    """Give, for each core, the statistics of its errors.
-
-    They are over the shots with a pose; ``n_shots`` counts all.
-    """
-    columns = [Column("core", "core"), Column("n_shots", "shots"), Column("n_ok", "with pose")]
-    for name, unit in ((_POSITION, "% LOS"), (_ROTATION, "deg")):
-        what = name.partition("_")[0]
-        columns += [Column(f"{name}_{s}", f"{what} {s} [{unit}]", ".3g") for s in _STATISTICS]
-    rows = tuple(_statistics_row(core, rows) for core, rows in _by_core(scores))
-    caption = "Position error (% LOS) and rotation error (deg) of each core"
-    return Table("statistics", caption, tuple(columns), rows)
 
 
 def effort_table(scores: pd.DataFrame) -> Table:
@@ -106,7 +38,7 @@ def effort_table(scores: pd.DataFrame) -> Table:
         columns,
         tuple(
             (core, *(_median(_finite(rows[name])) for name in (*_COUNTS, *_TIMES)))
-            for core, rows in _by_core(scores)
+            for core, rows in by_core(scores)
         ),
     )
 
@@ -116,6 +48,7 @@ def paper_table(scores: pd.DataFrame) -> Table:
     columns = (
         Column("core", "core"),
         Column("n_shots", "shots"),
+        Column("n_answers", "answers"),
         Column("n_ok", "with pose"),
         Column("mean_pct_los", "mean [% LOS]", ".3g"),
         Column("max_pct_los", "max [% LOS]", ".3g"),
@@ -128,7 +61,7 @@ def paper_table(scores: pd.DataFrame) -> Table:
         "paper",
         f"Position error beside the paper's ({DATASET_0.dataset}, {DATASET_0.n_shots} shots)",
         columns,
-        tuple(_paper_row(core, rows) for core, rows in _by_core(scores)),
+        tuple(_paper_row(core, rows) for core, rows in by_core(scores)),
     )
 
 
@@ -140,6 +73,7 @@ def worst_shots_table(scores: pd.DataFrame, reasons: Reasons) -> Table:
     columns = (
         Column("core", "core"),
         Column("shot_id", "shot"),
+        Column("seed", "seed"),
         Column("status", "status"),
         Column("range_los_m", "range [m]", ".3f"),
         Column(_POSITION, "position [% LOS]", ".3g"),
@@ -151,7 +85,7 @@ def worst_shots_table(scores: pd.DataFrame, reasons: Reasons) -> Table:
         Column("reason", "why no pose"),
     )
     rows: list[tuple[Cell, ...]] = []
-    for _, of_core in _by_core(scores):
+    for _, of_core in by_core(scores):
         shown = worst_first(of_core).head(N_WORST)
         shown = shown.assign(position_error_mm=1e3 * shown["position_error_m"])
         shown = _with_reason(shown, reasons)
@@ -163,6 +97,7 @@ def shots_table(scores: pd.DataFrame, core: str, reasons: Reasons) -> Table:
     """Give every shot of one core."""
     columns = (
         Column("shot_id", "shot"),
+        Column("seed", "seed"),
         Column("status", "status"),
         Column("range_los_m", "range [m]", ".3f"),
         Column("usable_fraction", "usable", ".2f"),
@@ -185,7 +120,9 @@ def worst_first(rows: pd.DataFrame) -> pd.DataFrame:
     return (
         rows.assign(_is_solved=is_solved)
         .sort_values(
-            ["_is_solved", _POSITION, "shot_id"], ascending=[True, False, True], kind="stable"
+            ["_is_solved", _POSITION, "shot_id", "seed"],
+            ascending=[True, False, True, True],
+            kind="stable",
         )
         .drop(columns="_is_solved")
     )
@@ -196,67 +133,9 @@ def cores_of(scores: pd.DataFrame) -> list[str]:
     return [str(core) for core in pd.unique(scores["core"])]
 
 
-def to_csv(table: Table) -> str:
-    """Write a table with full precision; a missing number is an empty cell."""
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    writer.writerow([column.name for column in table.columns])
-    writer.writerows([["" if _is_missing(c) else c for c in row] for row in table.rows])
-    return out.getvalue()
-
-
-def to_latex(table: Table) -> str:
-    """Write a table for LaTeX's package booktabs."""
-    lines = [
-        r"\begin{tabular}{" + "".join("r" if number else "l" for number in table.is_number) + "}",
-        r"\toprule",
-        _latex_row(table.headings),
-        r"\midrule",
-        *(_latex_row(row) for row in table.formatted),
-        r"\bottomrule",
-        r"\end{tabular}",
-    ]
-    return "\n".join(lines) + "\n"
-
-
-def escape_latex(text: str) -> str:
-    """Make any text safe for LaTeX's text mode."""
-    return "".join(_LATEX.get(character, character) for character in text)
-
-
-_LATEX = {
-    "\\": r"\textbackslash{}",
-    "{": r"\{",
-    "}": r"\}",
-    "$": r"\$",
-    "&": r"\&",
-    "#": r"\#",
-    "%": r"\%",
-    "_": r"\_",
-    "^": r"\textasciicircum{}",
-    "~": r"\textasciitilde{}",
-    "<": r"\textless{}",
-    ">": r"\textgreater{}",
-    "[": "{[}",  # a bare one at the start of a row would be an argument of the row before
-    MISSING: "--",
-}
-
-
-def _latex_row(cells: Sequence[str]) -> str:
-    return " & ".join(escape_latex(cell) for cell in cells) + r" \\"
-
-
-def _by_core(scores: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
+def by_core(scores: pd.DataFrame) -> list[tuple[str, pd.DataFrame]]:
+    """Give the rows of each core, in the order the scores have them."""
     return [(core, scores[scores["core"] == core]) for core in cores_of(scores)]
-
-
-def _statistics_row(core: str, rows: pd.DataFrame) -> tuple[Cell, ...]:
-    solved = rows[rows["status"] == "ok"]
-    row: list[Cell] = [core, len(rows), len(solved)]
-    for name in (_POSITION, _ROTATION):
-        of_metric = _statistics(solved[name])
-        row += [of_metric[s] for s in _STATISTICS]
-    return tuple(row)
 
 
 def _statistics(values: "pd.Series[float]") -> dict[str, float]:
@@ -278,6 +157,7 @@ def _paper_row(core: str, rows: pd.DataFrame) -> tuple[Cell, ...]:
     )
     return (
         core,
+        int(rows["shot_id"].nunique()),
         len(rows),
         len(solved),
         error["mean"],
@@ -306,13 +186,3 @@ def _rows(frame: pd.DataFrame, columns: Sequence[Column]) -> list[tuple[Cell, ..
 def _finite(column: "pd.Series[float]") -> FloatArray:
     values = np.asarray(column, dtype=np.float64)
     return values[np.isfinite(values)]
-
-
-def _formatted(cell: Cell, form: str) -> str:
-    if _is_missing(cell):
-        return MISSING
-    return cell if isinstance(cell, str) else format(cell, form)
-
-
-def _is_missing(cell: Cell) -> bool:
-    return isinstance(cell, float) and not np.isfinite(cell)

@@ -3,23 +3,29 @@
 import hashlib
 import json
 import os
-from collections.abc import Callable, Generator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import h5py
 import numpy as np
 import pandas as pd
 
 from tronlab.errors import ScoreError
-from tronlab.geometry.poses import FloatArray, xyz_quat_from_pose
-from tronlab.score.shot import CoreScore
-from tronlab.score.statistics import Summary, summarise
-from tronlab.score.table import COLUMNS, score_table
-from tronlab.score.workers import interrupts_held
+from tronlab.geometry.poses import FloatArray
+from tronlab.score.evaluation.statistics import Summary, summarise
+from tronlab.score.matches import (
+    StoredAnswer,
+    copy_matches,
+    read_answers,
+    read_reasons,
+    read_uv_inliers,
+    write_matches,
+)
+from tronlab.score.rescoring.shot import CoreScore
+from tronlab.score.rescoring.workers import interrupts_held
+from tronlab.score.table import COLUMNS, Row, score_table, with_all_columns
 
 SCORES = "scores.csv"
 SUMMARY = "summary.json"
@@ -27,6 +33,7 @@ MATCHES = "matches.h5"
 INFO = "score.json"
 PARTIAL_SCORES = "scores.partial.csv"
 """Rows of a scoring that was cut short; the next one that ends removes it."""
+_HASHED = (SCORES, SUMMARY, MATCHES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +42,7 @@ class ScoreResults:
 
     directory: Path
     scores: pd.DataFrame
-    """One row a shot and core; see ``tronlab.score.table.COLUMNS``."""
+    """One row a shot, core and seed; see ``tronlab.score.table.COLUMNS``."""
     summary: Summary
     """Core name to its statistics."""
     dataset_path: Path
@@ -49,17 +56,22 @@ class ScoreResults:
     """Why a core gave no pose, by core and shot id."""
     kept: Mapping[str, Mapping[str, Any]]
     """``scored_utc`` and ``software`` of each core that an earlier scoring left here."""
+    definitions: Mapping[str, Mapping[str, Any]] = field(default_factory=dict[str, Any])
+    """What each name stands for: ``kind``, ``target``, ``settings``, ``seeds``, ``prior``,
+    ``time_limit_s``, and ``version`` of a core of others. Those of older scorings are missing."""
 
-    def uv_inliers(self, core: str, shot_id: int) -> FloatArray:
+    def uv_inliers(self, core: str, shot_id: int, seed: int = 0) -> FloatArray:
         """Read the image positions a pose rests on, shape (n, 2), pixels; empty without a pose."""
-        with _matches(self.directory) as file:
-            group = file.get(f"{core}/{shot_id}")
-            return np.empty((0, 2)) if group is None else group["uv_inliers"][:].astype(np.float64)
+        return read_uv_inliers(self.directory / MATCHES, core, shot_id, seed)
+
+    def answers(self) -> Iterator[StoredAnswer]:
+        """Read what every core answered to every shot, one after the other."""
+        return read_answers(self.directory / MATCHES)
 
 
 def save_results(
     directory: Path,
-    scores: Sequence[CoreScore],
+    scores: Iterable[CoreScore],
     info: Mapping[str, Any],
     *,
     earlier: ScoreResults | None = None,
@@ -79,20 +91,19 @@ def save_results(
         ScoreError: They cannot be written; the old files are as they were.
     """
     kept = kept_cores(earlier, info["cores"])
-    table = _merged(score_table(score.row for score in scores), earlier)
-    info = {**info, "cores": _core_names(table), "kept": _origins(earlier, kept)}
+    rows: list[Row] = []
     try:
         with TemporaryDirectory(prefix=".score-", dir=directory) as staging:
             folder = Path(staging)
+            write_matches(folder / MATCHES, _noted(scores, rows))
+            if kept:
+                copy_matches(directory / MATCHES, folder / MATCHES, kept)
+            table = _merged(score_table(rows), earlier)
             table.to_csv(folder / SCORES, index=False)
             _write_json(folder / SUMMARY, summarise(table))
-            _write_matches(folder / MATCHES, scores)
-            if kept:
-                _copy_matches(directory / MATCHES, folder / MATCHES, kept)
-            names = SCORES, SUMMARY, MATCHES
-            _write_json(folder / INFO, {**info, "sha256": {n: _sha256(folder / n) for n in names}})
+            _write_json(folder / INFO, _info(folder, info, table, earlier=earlier, kept=kept))
             with interrupts_held():
-                for name in (*names, INFO):
+                for name in (*_HASHED, INFO):
                     os.replace(folder / name, directory / name)
         (directory / PARTIAL_SCORES).unlink(missing_ok=True)
     except OSError as error:
@@ -106,7 +117,7 @@ def kept_cores(earlier: ScoreResults | None, scored: Sequence[str]) -> tuple[str
     return tuple(name for name in names if name not in scored)
 
 
-def save_partial(directory: Path, scores: Sequence[CoreScore]) -> Path:
+def save_partial(directory: Path, scores: Iterable[CoreScore]) -> Path:
     """Write the rows of a scoring that was cut short to a file of their own.
 
     Raises:
@@ -149,8 +160,9 @@ def load_results(directory: Path) -> ScoreResults:
             cores=tuple(info["cores"]),
             software=info["software"],
             scored_utc=info["scored_utc"],
-            reasons=_reasons(directory),
+            reasons=read_reasons(directory / MATCHES),
             kept=info.get("kept", {}),
+            definitions=info.get("definitions", {}),
         )
     except KeyError as error:
         raise ScoreError(
@@ -228,10 +240,7 @@ def _check_none_lost(
 
 def _is_of_shots(scores: pd.DataFrame, range_los_m: Mapping[int, float]) -> bool:
     expected = sorted(range_los_m)
-    if any(
-        sorted(scores.loc[scores["core"] == core, "shot_id"]) != expected
-        for core in _core_names(scores)
-    ):
+    if any(sorted(of_one["shot_id"]) != expected for _, of_one in scores.groupby(["core", "seed"])):
         return False
     expected_m = [range_los_m[shot_id] for shot_id in scores["shot_id"]]
     return np.allclose(scores["range_los_m"], expected_m, rtol=1e-9, atol=0.0, equal_nan=True)
@@ -259,62 +268,49 @@ def _origins(earlier: ScoreResults | None, kept: Sequence[str]) -> dict[str, Map
     return {name: earlier.kept.get(name, last) for name in kept}
 
 
+def _noted(scores: Iterable[CoreScore], rows: list[Row]) -> Iterator[CoreScore]:
+    """Pass scores on, and put their rows down: the results are too many to keep."""
+    for score in scores:
+        rows.append(score.row)
+        yield score
+
+
+def _info(
+    folder: Path,
+    info: Mapping[str, Any],
+    table: pd.DataFrame,
+    *,
+    earlier: ScoreResults | None,
+    kept: Sequence[str],
+) -> dict[str, Any]:
+    return {
+        **info,
+        "cores": _core_names(table),
+        "definitions": _definitions(earlier, kept) | info.get("definitions", {}),
+        "kept": _origins(earlier, kept),
+        "sha256": {name: _sha256(folder / name) for name in _HASHED},
+    }
+
+
+def _definitions(earlier: ScoreResults | None, kept: Sequence[str]) -> dict[str, Mapping[str, Any]]:
+    """Tell what the names of the cores that stay stand for."""
+    if earlier is None:
+        return {}
+    return {name: earlier.definitions[name] for name in kept if name in earlier.definitions}
+
+
 def _read_scores(path: Path) -> pd.DataFrame:
     try:
         # As text first: pandas 2 reads floats of its own making, which may be off in the last
         # digit, and rows that stay are written again.
         table = pd.read_csv(path, dtype="str", keep_default_na=False, na_values=[""])
-        if "truth_state" not in table.columns:  # scored before there were drift checks
-            table["truth_state"] = "unchecked"
+        table = with_all_columns(table)
         missing = [name for name in COLUMNS if name not in table.columns]
         if missing:
             raise ScoreError(f"{path}: columns are missing: {', '.join(missing)}")
         return table.reindex(columns=list(COLUMNS)).astype(COLUMNS)
     except (ValueError, TypeError, OSError) as error:
         raise ScoreError(f"{path}: is not a table of scores: {error}") from error
-
-
-def _reasons(directory: Path) -> dict[tuple[str, int], str]:
-    with _matches(directory) as file:
-        return {
-            (core, int(shot_id)): str(group.attrs["reason"])
-            for core, shots in file.items()
-            for shot_id, group in shots.items()
-            if group.attrs["reason"]
-        }
-
-
-@contextmanager
-def _matches(directory: Path) -> Generator[Any]:
-    path = directory / MATCHES
-    try:
-        file = h5py.File(path, "r")
-    except OSError as error:
-        raise ScoreError(f"{path}: cannot be read: {error}; run tronlab score again") from error
-    with file:
-        yield file
-
-
-def _write_matches(path: Path, scores: Sequence[CoreScore]) -> None:
-    with h5py.File(path, "w") as file:
-        for score in scores:
-            group = file.create_group(f"{score.core}/{score.shot_id}")
-            group.attrs["status"] = score.result.status
-            group.attrs["reason"] = score.result.reason
-            uv = np.asarray(score.result.uv_inliers, np.float32)
-            group.create_dataset("uv_inliers", data=uv).attrs["units"] = "px"
-            if score.result.trs_from_cam is not None:
-                pose = xyz_quat_from_pose(score.result.trs_from_cam)
-                stored = group.create_dataset("trs_from_cam", data=pose)
-                stored.attrs.update(parent="trs", child="cam", quaternion_order="xyzw")
-            if score.result.covariance is not None:
-                group.create_dataset("covariance", data=score.result.covariance)
-
-
-def _copy_matches(source_path: Path, target_path: Path, cores: Sequence[str]) -> None:
-    with h5py.File(source_path, "r") as source, h5py.File(target_path, "a") as target:
-        for core in cores:
-            source.copy(core, target)
 
 
 def _write_json(path: Path, value: Mapping[str, Any]) -> None:

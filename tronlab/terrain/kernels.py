@@ -43,8 +43,9 @@ def compiled_with(function: Callable[..., Any], **options: Any) -> Callable[...,
 def _kernel_sources() -> tuple[tuple[int, int], ...]:
     """Give time and size of every file that may hold a kernel."""
     package = Path(__file__).parent.parent
-    files = [*package.glob("terrain/**/*.py"), *package.glob("render/**/*.py")]
-    return tuple((info.st_mtime_ns, info.st_size) for info in map(Path.stat, sorted(files)))
+    folders = ("terrain", "render", "nav/matching")
+    files = sorted(path for folder in folders for path in package.glob(f"{folder}/**/*.py"))
+    return tuple((info.st_mtime_ns, info.st_size) for info in map(Path.stat, files))
 
 
 def n_cores() -> int:

@@ -1,18 +1,17 @@
 """The command ``tronlab report``."""
 
-from importlib.metadata import EntryPoint
-
-import numpy as np
 import pytest
 import typer
 from scipy.spatial.transform import RigidTransform
 from typer.testing import CliRunner
 
 from tronlab.cli.report import report
+from tronlab.dataset.reader import Dataset
 from tronlab.errors import ScoreError
-from tronlab.nav import cores as nav_cores
 from tronlab.nav.core import NavigationResult
-from tronlab.score.rescore import score_dataset
+from tronlab.score.rescoring.shot import CoreScore
+from tronlab.score.results import save_results
+from tronlab.score.table import score_row, shot_facts
 
 
 def run(*arguments):
@@ -21,37 +20,31 @@ def run(*arguments):
     return CliRunner().invoke(app, [str(argument) for argument in arguments])
 
 
-class FixedCore:
-    """Has a pose for the first shots, then none."""
-
-    name = "fixed"
-
-    def __init__(self, context):
-        self.n_left = 3
-
-    def locate(self, image, mask):
-        self.n_left -= 1
-        if self.n_left < 0:
-            return NavigationResult("no_pose", reason="too dark")
-        pose = RigidTransform.from_translation([1.1, 2.1, 4.01])
-        return NavigationResult("ok", pose, uv_inliers=np.array([[20.0, 12.0]]))
-
-
-class FixedCorePoint(EntryPoint):
-    def load(self):
-        return FixedCore
-
-
 @pytest.fixture
-def scored(small_dataset, monkeypatch):
-    point = FixedCorePoint("fixed", "here:FixedCore", nav_cores.ENTRY_POINT_GROUP)
-    monkeypatch.setattr(nav_cores, "entry_points", lambda group: [point])
-    score_dataset(small_dataset, cores=["fixed"], workers=1)
+def scored(small_dataset):
+    """A folder with the scores of a core that has a pose for the first shots, then none."""
+    scores = []
+    with Dataset(small_dataset) as dataset:
+        for facts in (shot_facts(dataset, i) for i in range(dataset.n_shots)):
+            if facts.shot_id < 3:
+                result = NavigationResult("ok", RigidTransform.from_translation([1.1, 2.1, 4.01]))
+            else:
+                result = NavigationResult("no_pose", reason="too dark")
+            row = score_row("fixed", 0, facts, result)
+            scores.append(CoreScore("fixed", facts.shot_id, row, result))
+    info = {"dataset": "dataset.h5", "cores": ["fixed"], "software": {}, "scored_utc": ""}
+    save_results(small_dataset.parent, scores, info)
     return small_dataset.parent
 
 
-@pytest.mark.opencv
-def test_prints_the_table_and_where_the_page_is(scored):
+def test_prints_the_table_and_where_the_page_is(scored, monkeypatch):
+    def empty_chart(_figure, folder, stem):
+        path = folder / f"{stem}.png"
+        path.touch()
+        return path
+
+    for module in ("build", "evaluation"):
+        monkeypatch.setattr(f"tronlab.report.{module}.save_chart", empty_chart)
     result = run(scored)
     assert result.exit_code == 0, result.output
     lines = result.stdout.splitlines()
@@ -63,9 +56,8 @@ def test_prints_the_table_and_where_the_page_is(scored):
     assert (scored / "figures" / "contact_sheet.jpg").is_file()
 
 
-@pytest.mark.opencv
 def test_announcements_go_to_stderr(scored, monkeypatch):
-    def build(directory, *, announce):
+    def build(directory, *, settings, announce):
         announce("report without pictures: no such file")
         return directory / "report.html"
 
@@ -79,3 +71,17 @@ def test_folder_without_scores(tmp_path):
     result = run(tmp_path)
     assert isinstance(result.exception, ScoreError)
     assert "tronlab score" in str(result.exception)
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "message"),
+    [
+        ("--tables", "csv,doc", "'doc': is not known"),
+        ("--recall", "1", "recall threshold '1': must be two numbers"),
+        ("--recall", "0,1", "recall threshold '0,1': must be two numbers"),
+        ("--bins", "height=1,2", "must be COLUMN=EDGE,EDGE"),
+        ("--bins", "phase_deg=2,1", "the edges must be numbers that rise"),
+    ],
+)
+def test_odd_options_are_refused_before_anything_is_read(tmp_path, option, value, message):
+    assert message in str(run(tmp_path / "none", option, value).exception)

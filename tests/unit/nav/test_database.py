@@ -1,26 +1,53 @@
-"""Landmarks lie on the terrain, and matches find them."""
+"""Landmarks lie on the terrain, and a database has one digest however it is made."""
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from tronlab.errors import ScoreError
-from tronlab.nav.database import build_database, interpolate_depth
-from tronlab.nav.features import AKAZE, BRISK, Detector, detect_features
-from tronlab.nav.matching import LandmarkIndex
+from tronlab.nav.core import CoreContext
+from tronlab.nav.database import (
+    Database,
+    DatabaseDigest,
+    build_database,
+    find_landmarks,
+    interpolate_depth,
+)
+from tronlab.nav.settings import DetectorSettings
 
-pytestmark = pytest.mark.opencv
-DETECTORS = pytest.mark.parametrize("detector", [AKAZE, BRISK], ids=lambda d: d.name)
+AKAZE = DetectorSettings(n_max=300)
+BRISK = DetectorSettings(features="brisk", n_max=300)
 
 
-@DETECTORS
-def test_landmarks_lie_on_the_surface(detector: Detector, references, camera, scene) -> None:
-    database = build_database(references, camera, detector)
+class DictStore:
+    """Keeps everything, and counts what was asked for in vain."""
+
+    def __init__(self) -> None:
+        self.kept: dict[tuple[str, str], dict[str, NDArray[Any]]] = {}
+        self.n_missed = 0
+
+    def load(self, stage: str, key: str) -> dict[str, NDArray[Any]] | None:
+        self.n_missed += (stage, key) not in self.kept
+        return self.kept.get((stage, key))
+
+    def save(self, stage: str, key: str, arrays: Mapping[str, NDArray[Any]]) -> None:
+        self.kept[stage, key] = {name: array.copy() for name, array in arrays.items()}
+
+
+@pytest.mark.opencv
+@pytest.mark.parametrize("settings", [AKAZE, BRISK], ids=lambda s: s.features)
+def test_landmarks_lie_on_the_surface(settings, references, camera, scene) -> None:
+    database = find_landmarks(references, camera, settings)
     assert set(database.view) == {0, 1, 2}
+    assert (np.bincount(database.view) <= 300).all()
     x, y, z = database.p_trs_m.T
     np.testing.assert_allclose(z, scene.height_m(x, y), atol=2e-4)
     assert (database.size_m > 0).all()
+    np.testing.assert_array_equal(database.p_views_trs_m[:, 2], [2.4, 2.0, 1.7])
 
 
 def test_depth_is_interpolated_at_the_position() -> None:
@@ -41,54 +68,60 @@ def test_depth_is_not_interpolated_over_holes_edges_and_borders() -> None:
     np.testing.assert_array_equal(np.isfinite(found), [False, False, False, False, False, True])
 
 
+@pytest.mark.opencv
 def test_no_landmark_comes_from_where_depth_is_missing(references, camera) -> None:
     hole = references[1].depth_m.copy()
     hole[100:180, 120:200] = np.nan
-    database = build_database([replace(references[1], depth_m=hole)], camera, AKAZE)
+    database = find_landmarks([replace(references[1], depth_m=hole)], camera, AKAZE)
     p_cam = references[1].trs_from_cam.inv().apply(database.p_trs_m)
     u, v = camera.project(p_cam).T
     assert not ((u > 118) & (u < 202) & (v > 98) & (v < 182)).any()
 
 
+@pytest.mark.opencv
 def test_views_without_landmarks_are_an_error(references, camera) -> None:
     black = replace(references[0], image=np.zeros_like(references[0].image))
     with pytest.raises(ScoreError, match="akaze: 1 reference views give 0 landmarks, at least 50"):
-        build_database([black], camera, AKAZE)
+        find_landmarks([black], camera, AKAZE)
     with pytest.raises(ScoreError, match="0 reference views"):
-        build_database([], camera, AKAZE)
+        find_landmarks([], camera, AKAZE)
 
 
-@DETECTORS
-def test_matches_are_right_and_repeat(detector: Detector, references, camera, scene, pose) -> None:
-    database = build_database(references, camera, detector)
-    truth = pose(1.85, x_m=0.05, tilt=(0.02, -0.03, 0.4))
-    grey, depth = scene.see(truth)
-    features = detect_features(np.rint(grey).astype(np.uint8), np.isfinite(depth), detector)
-    first, second = (LandmarkIndex(database).match(features) for _ in range(2))
-    np.testing.assert_array_equal(first.landmark, second.landmark)
-    np.testing.assert_array_equal(first.ratio, second.ratio)
-    assert (np.diff(first.ratio) >= 0).all()
-    assert len(np.unique(first.landmark)) == len(first)
-    assert len(np.unique(first.feature)) == len(first)
-    expected = camera.project(truth.inv().apply(database.p_trs_m[first.landmark]))
-    error_px = np.linalg.norm(features.uv[first.feature] - expected, axis=1)
-    good = first.ratio < 0.5
-    assert good.sum() > 50
-    assert np.mean(error_px[good] < 3) > 0.98
+@pytest.mark.opencv
+def test_kept_landmarks_are_those_found_and_belong_to_views_and_settings(
+    references, camera
+) -> None:
+    store = DictStore()
+    context = CoreContext(camera, references[:2], stages=store, references_key="two views")
+    found, kept = (build_database(context, AKAZE) for _ in range(2))
+    assert store.n_missed == 1
+    assert kept.digest == found.digest == find_landmarks(references[:2], camera, AKAZE).digest
+    others = [build_database(replace(context, references_key="others"), AKAZE)]
+    others.append(build_database(context, AKAZE.model_copy(update={"n_max": 200})))
+    assert store.n_missed == 3
+    assert others[0].digest == found.digest
+    assert others[1].digest != found.digest
+    build_database(replace(context, references_key=""), AKAZE)
+    assert store.n_missed == 3, "what has no name is not kept"
 
 
-def test_one_point_in_several_views_is_no_rival_of_itself(references, camera) -> None:
-    """Every view three times: the nearest rival must still be another point."""
-    once = build_database(references[:1], camera, AKAZE)
-    thrice = build_database(references[:1] * 3, camera, AKAZE)
-    view = references[0]
-    features = detect_features(view.image, view.mask, AKAZE)
-    assert len(thrice) == 3 * len(once)
-    matches = LandmarkIndex(thrice).match(features)
-    assert np.median(matches.ratio) < 0.1
-
-
-def test_no_features_no_matches(references, camera) -> None:
-    index = LandmarkIndex(build_database(references, camera, AKAZE))
-    black = np.zeros(camera.shape, np.uint8)
-    assert len(index.match(detect_features(black, black == 0, AKAZE))) == 0
+def test_a_digest_does_not_depend_on_pieces_but_on_every_value() -> None:
+    rng = np.random.default_rng(2)
+    rows = (
+        rng.normal(size=(70, 3)),
+        rng.random(70),
+        rng.integers(0, 256, (70, 61), np.uint8),
+        np.arange(70) // 7,
+    )
+    views = rng.normal(size=(10, 3))
+    whole = Database(*rows, views, AKAZE)
+    digest = DatabaseDigest(AKAZE)
+    for piece in np.array_split(np.arange(70), 4):
+        digest.add(*(array[piece] for array in rows))
+    assert digest.of(views) == whole.digest
+    for changed in range(4):
+        other = [array.copy() for array in rows]
+        other[changed].flat[-1] += 1
+        assert Database(*other, views, AKAZE).digest != whole.digest
+    assert Database(*rows, views, BRISK).digest != whole.digest
+    assert Database(*rows, views + 1e-9, AKAZE).digest != whole.digest

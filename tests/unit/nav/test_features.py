@@ -102,10 +102,10 @@ def test_spread_takes_turns_between_cells() -> None:
     crowd = np.column_stack([np.linspace(1, 40, 90), np.full(90, 10.0)])
     uv = np.vstack([crowd, [[200.0, 200.0], [200.0, 10.0]]])
     strength = np.r_[np.full(90, 9.0), 1.0, 2.0]
-    chosen = spread_over_image(uv, strength, n_max=4)
+    chosen = spread_over_image(uv, strength, n_max=4, cell_px=48.0)
     assert {90, 91} <= set(chosen.tolist()[:3])
     assert len(chosen) == 4
-    assert len(spread_over_image(np.empty((0, 2)), np.empty(0), n_max=4)) == 0
+    assert len(spread_over_image(np.empty((0, 2)), np.empty(0), n_max=4, cell_px=48.0)) == 0
 
 
 def test_wrong_images_are_refused(image: np.ndarray) -> None:

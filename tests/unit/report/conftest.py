@@ -12,9 +12,9 @@ from scipy.spatial.transform import RigidTransform
 from tronlab.dataset.reader import Dataset
 from tronlab.dataset.records import Truth
 from tronlab.nav.core import NavigationResult
+from tronlab.score.rescoring.shot import CoreScore
 from tronlab.score.results import save_results
-from tronlab.score.shot import CoreScore
-from tronlab.score.table import score_row
+from tronlab.score.table import ShotFacts, score_row, with_all_columns
 
 CORE_SCALES_PCT = {"akaze": 0.5, "brisk": 0.4, "akaze-refined": 0.03, "brisk-refined": 0.04}
 
@@ -55,7 +55,7 @@ def make_scores(
             table[f"error_cam_{axis}_m"] = error_m[:, i]
             table[f"axis_error_{axis}_deg"] = angle_deg[:, i]
         tables.append(table)
-    scores = pd.concat(tables, ignore_index=True)
+    scores = with_all_columns(pd.concat(tables, ignore_index=True))
     for core, status in (missed or {}).items():
         lose_poses(scores, (scores["core"] == core) & (scores["shot_id"] < 2), status)
     return scores
@@ -123,5 +123,5 @@ def fake_score(core: str, shot_id: int, truth: Truth, offset_m: float | None) ->
         result = NavigationResult(
             "ok", shift * truth.trs_from_cam, uv_inliers=np.array([[20.0, 12.0], [40.0, 30.0]])
         )
-    row = score_row(core, int(shot_id), truth=truth, truth_state="good", result=result)
+    row = score_row(core, 0, ShotFacts(int(shot_id), truth, "good"), result)
     return CoreScore(core, int(shot_id), row, result)

@@ -6,16 +6,22 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import h5py
+import pandas as pd
 import pytest
 
 from tronlab.dataset.schema import TRUTH
 from tronlab.errors import ScoreError
-from tronlab.report import build
-from tronlab.report.build import build_report
+from tronlab.report import build, evaluation
+from tronlab.report.build import ReportSettings, build_report
+from tronlab.report.evaluation import EvaluationSettings
 from tronlab.report.style import new_figure
+from tronlab.score.evaluation.recall import Threshold
+from tronlab.score.results import load_results
 
 CORES = {"akaze": 0.004, "akaze-refined": 0.0005, "blind": None}
 HOSTILE = "<b>&'\""
+PARTED_BY = ("range_los_m", "usable_fraction")
+"""What the shots of the small dataset differ in; its record knows no lamp."""
 
 
 class Parsed(HTMLParser):
@@ -49,9 +55,17 @@ def _blank_figures(monkeypatch: pytest.MonkeyPatch) -> None:
         "single_picture",
     ):
         monkeypatch.setattr(build, name, lambda *_: new_figure(1.0, 1.0))
+    for name in ("consistency_chart", "error_boxes", "recall_curve"):
+        monkeypatch.setattr(evaluation, name, lambda *_: new_figure(1.0, 1.0))
 
 
 blank_figures = pytest.mark.usefixtures("_blank_figures")
+
+
+def empty_chart(_figure, folder, stem):
+    path = folder / f"{stem}.png"
+    path.touch()
+    return path
 
 
 def files(directory):
@@ -70,10 +84,14 @@ def test_report_has_all_files(score_by_hand):
     charts = {
         "error_against_range",
         "error_distribution",
+        "recall",
+        "consistency",
+        *(f"boxes_{name}" for name in PARTED_BY),
         *(f"histograms_{core}" for core in cores),
     }
     pictures = {"contact_sheet", *(f"worst_{core}" for core in cores)}
-    tables = ("effort", "paper", "statistics", "worst_shots")
+    tables = ("effort", "paper", "statistics", "recall", "consistency", "worst_shots")
+    tables += tuple(f"bins_{name}" for name in PARTED_BY)
     assert set(files(directory)) == {
         "report.html",
         *(f"figures/{name}.{ending}" for name in charts for ending in ("png", "pdf")),
@@ -94,7 +112,7 @@ def test_page_needs_nothing_beside_itself(score_by_hand):
     assert len(page.ids) == len(set(page.ids))
     assert not {"script", "link", "iframe"} & page.tags
     assert not re.search(r"url\(|@import", path.read_text(encoding="utf-8"))
-    assert sum(link.startswith("data:") for link in page.links) == 2 * len(CORES) + 3
+    assert sum(link.startswith("data:") for link in page.links) == 2 * len(CORES) + 7
 
 
 @blank_figures
@@ -122,8 +140,8 @@ def test_page_says_what_was_measured_and_how(score_by_hand):
 def test_units_of_headings_are_kept_whole_on_the_page_only(score_by_hand):
     directory = score_by_hand(CORES)
     text = build_report(directory).read_text(encoding="utf-8")
-    assert "position mean [%\N{NO-BREAK SPACE}LOS]" in text
-    assert "[% LOS]" not in text
+    assert "mean [%\N{NO-BREAK SPACE}LOS]" in text
+    assert not re.search(r"<th[^>]*>[^<]*\[% LOS\]", text)
     assert r"{[}\% LOS]" in (directory / "tables" / "statistics.tex").read_text(encoding="utf-8")
 
 
@@ -156,7 +174,9 @@ def test_second_report_replaces_the_first(score_by_hand):
     assert kept.read_text() == "mine"
 
 
-def test_only_core_without_a_pose(score_by_hand):
+def test_only_core_without_a_pose(score_by_hand, monkeypatch):
+    for module in (build, evaluation):  # drawn all the same, but encoding takes longest
+        monkeypatch.setattr(module, "save_chart", empty_chart)
     page = build_report(score_by_hand({"blind": None}))
     assert "no_pose" in Parsed(page).words
     assert "5 shots over the range with the inliers of blind" in page.read_text(encoding="utf-8")
@@ -236,3 +256,31 @@ def test_long_lists_of_shots_stay_off_the_page(score_by_hand, monkeypatch):
     monkeypatch.setattr(build, "MAX_PAGE_SHOTS", 4)
     words = Parsed(build_report(score_by_hand({"akaze": 0.001}))).words
     assert "Too many shots for this page: see scores.csv." in words
+
+
+@blank_figures
+def test_formats_thresholds_and_edges_are_chosen(score_by_hand):
+    directory = score_by_hand({"akaze": 0.001, "blind": None})
+    settings = ReportSettings(
+        formats=("json", "parquet"),
+        evaluation=EvaluationSettings((Threshold(0.05, 0.2),), {"range_los_m": (3.9,)}),
+    )
+    words = Parsed(build_report(directory, settings=settings)).words
+    assert "0.05 % LOS, 0.2 deg" in words
+    assert "below 3.9" in words
+    tables = directory / "tables"
+    assert {path.suffix for path in tables.iterdir()} == {".json", ".parquet"}
+    every = pd.read_parquet(tables / "scores.parquet")
+    pd.testing.assert_frame_equal(every, load_results(directory).scores, check_dtype=False)
+    (tables / "mine.json").touch()
+    build_report(directory)
+    assert {path.suffix for path in tables.iterdir()} == {".csv", ".tex", ".json"}
+    assert [path.name for path in tables.glob("*.json")] == ["mine.json"]
+
+
+@blank_figures
+def test_bins_by_what_nobody_knows_are_refused(score_by_hand):
+    directory = score_by_hand({"akaze": 0.001})
+    settings = ReportSettings(evaluation=EvaluationSettings(edges={"phase_deg": (30.0,)}))
+    with pytest.raises(ScoreError, match="bins by phase_deg: it is not known of any shot"):
+        build_report(directory, settings=settings)

@@ -28,7 +28,7 @@ from tronlab.report.plan_solids import box, box_corners, capsule, line, terrain
 from tronlab.report.plan_storyboard import MOST_REFUSED, N_EVEN, predict_views, story_shots
 from tronlab.report.plan_tables import shots_table
 from tronlab.report.style import new_figure
-from tronlab.report.tables import to_csv
+from tronlab.score.evaluation.export import to_csv
 
 
 def report(assessment=None, *, stage=None) -> PlanReport:

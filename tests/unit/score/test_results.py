@@ -11,8 +11,8 @@ import pytest
 from tronlab.errors import ScoreError
 from tronlab.nav.core import NavigationResult
 from tronlab.score import results as results_module
+from tronlab.score.rescoring.shot import CoreScore
 from tronlab.score.results import load_results, save_results
-from tronlab.score.shot import CoreScore
 from tronlab.score.table import COLUMNS
 
 
@@ -73,7 +73,7 @@ def test_scores_from_before_there_were_drift_checks_have_an_unchecked_truth(tmp_
         load_results(tmp_path)
 
 
-@pytest.mark.parametrize("step", ["_copy_matches", "_sha256"])
+@pytest.mark.parametrize("step", ["copy_matches", "_sha256"])
 def test_what_cannot_be_written_whole_changes_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str
 ) -> None:

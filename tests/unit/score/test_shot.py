@@ -1,80 +1,58 @@
 """One shot and cores that misbehave: each becomes a result with its reason, and nothing is lost."""
 
 import time
-from contextlib import suppress
-from pathlib import Path
+from types import ModuleType
 
-import h5py
 import numpy as np
 import pytest
-from scipy.spatial.transform import RigidTransform
 
-from tronlab.dataset.reader import Dataset
-from tronlab.nav.core import NavigationResult
-from tronlab.score.shot import locate, score_shot
+from tronlab.geometry.camera import CameraModel
+from tronlab.nav.core import CoreContext, Frame, NavigationResult
+from tronlab.score.rescoring.shot import locate
 
-IMAGE = np.zeros((4, 6), np.uint8)
-MASK = np.ones((4, 6), bool)
+FRAME = Frame(np.zeros((4, 6), np.uint8), np.ones((4, 6), np.bool_))
 
 
-class Answering:
-    """A core that always gives the same answer."""
-
-    name = "answering"
-
-    def __init__(self, **changes: object) -> None:
-        self._changes = changes
-
-    def locate(self, image: np.ndarray, mask: np.ndarray) -> NavigationResult:
-        return NavigationResult(
-            **{"status": "ok", "trs_from_cam": RigidTransform.identity(), **self._changes}
-        )
+@pytest.fixture
+def context(small_camera: CameraModel) -> CoreContext:
+    return CoreContext(small_camera, ())
 
 
-class Hanging:
-    name = "hanging"
-
-    def locate(self, image: np.ndarray, mask: np.ndarray) -> NavigationResult:
-        while True:
-            with suppress(Exception):  # a core that swallows what it can
-                time.sleep(0.01)
+def test_a_good_answer_is_passed_on(fakes: ModuleType, context: CoreContext) -> None:
+    assert locate(fakes.good(context), FRAME).status == "ok"
 
 
-def test_a_good_answer_is_passed_on() -> None:
-    assert locate(Answering(), IMAGE, MASK).status == "ok"
-
-
-def test_a_core_that_hangs_is_a_timeout_and_the_next_shot_has_its_full_time() -> None:
-    result = locate(Hanging(), IMAGE, MASK, limit_s=0.05)
+def test_a_core_that_hangs_is_a_timeout_and_the_next_shot_has_its_full_time(
+    fakes: ModuleType, context: CoreContext
+) -> None:
+    result = locate(fakes.hangs(context), FRAME, limit_s=0.05)
     assert (result.status, result.reason) == ("timeout", "no answer within 0.05 s")
     time.sleep(0.1)  # an alarm left behind would ring now
 
 
 @pytest.mark.parametrize(
-    ("changes", "reason"),
+    ("answer", "reason"),
     [
-        ({"n_features": float("nan")}, "n_features is nan, must be a whole number from 0"),
-        ({"n_inliers": -1}, "n_inliers is -1"),
-        ({"n_matches": None}, "n_matches is None"),
-        ({"time_pose_s": float("inf")}, "time_pose_s is inf, must be finite"),
-        ({"covariance": np.eye(3)}, r"the covariance is not finite or not of shape"),
-        ({"covariance": np.full((6, 6), np.nan)}, r"the covariance is not finite"),
-        ({"uv_inliers": np.zeros((3, 3))}, "uv_inliers have shape"),
-        ({"status": "fine"}, "unknown status 'fine'"),
+        (lambda: NavigationResult("ok"), "ok"),
+        (lambda: None, "NoneType"),
+        (lambda: 1 / 0, "ZeroDivisionError: division by zero"),
+        (lambda: (_ for _ in ()).throw(SystemExit(3)), "SystemExit: 3"),
+        (lambda: (_ for _ in ()).throw(MemoryError("too much")), "MemoryError: too much"),
     ],
 )
-def test_an_answer_that_makes_no_sense_is_an_error_with_its_reason(changes, reason) -> None:
-    result = locate(Answering(**changes), IMAGE, MASK)
+def test_an_answer_that_makes_no_sense_is_an_error_with_its_reason(
+    fakes: ModuleType, context: CoreContext, answer, reason: str
+) -> None:
+    result = locate(fakes.Located(lambda _: answer(), context), FRAME)
     assert result.status == "error"
     assert reason in result.reason
 
 
-def test_a_damaged_image_costs_one_shot_only(small_dataset: Path) -> None:
-    with h5py.File(small_dataset, "r+") as file:
-        file["entry/data/image"][2, 0, 0] ^= 1
-    with Dataset(small_dataset) as dataset:
-        statuses = [
-            score_shot(dataset, i, cores={"answering": Answering()})[0].result.status
-            for i in range(dataset.n_shots)
-        ]
-    assert statuses == ["ok", "ok", "error", "ok", "ok"]
+def test_a_sequence_begins_with_a_reset_whose_failure_is_a_result(
+    fakes: ModuleType, context: CoreContext, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    core = fakes.Counting(context)
+    poses = [locate(core, FRAME, is_first=first).trs_from_cam for first in (True, False, True)]
+    assert [pose.translation[2] for pose in poses if pose is not None] == [1, 2, 1]
+    monkeypatch.setattr(core, "reset", lambda: 1 / 0)
+    assert locate(core, FRAME, is_first=True).status == "error"

@@ -1,0 +1,53 @@
+"""From ``package.module:attribute`` or an installed core's name to what makes the core."""
+
+import importlib
+import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from typing import Any, TypeAlias, cast
+
+from tronlab.errors import ScoreError
+from tronlab.nav.core import CoreContext, NavigationCore
+
+Factory: TypeAlias = Callable[[CoreContext], NavigationCore]
+
+
+@dataclass(frozen=True, slots=True)
+class HostedCore:
+    """A class or factory, and the module that names it, which need not be the one that has it."""
+
+    name: str
+    """As the user wrote it."""
+    factory: Factory
+    module: str
+
+
+def load_core(text: str) -> HostedCore:
+    """Import a class or factory.
+
+    Raises:
+        ScoreError: It cannot be imported, or cannot be called; or no core of that name is
+            installed.
+    """
+    module, _, attribute = (text if ":" in text else _entry_point(text)).partition(":")
+    try:
+        found: Any = importlib.import_module(module)
+        for name in attribute.split("."):
+            found = getattr(found, name)
+    except Exception as error:  # a module may raise anything while it is imported
+        traceback.print_exc()
+        raise ScoreError(f"{text} cannot be imported: {type(error).__name__}: {error}") from error
+    if not callable(found):
+        raise ScoreError(f"{text} is a {type(found).__name__}, must be a class or a factory")
+    return HostedCore(text, cast(Factory, found), module)
+
+
+def _entry_point(name: str) -> str:
+    from tronlab.nav.cores import ENTRY_POINT_GROUP  # heavy, and needed for names only
+
+    points = {point.name: point.value for point in entry_points(group=ENTRY_POINT_GROUP)}
+    if name not in points:
+        known = ", ".join(sorted(points)) or "none"
+        raise ScoreError(f"no navigation core {name!r} is installed; installed are: {known}")
+    return points[name].partition("[")[0].strip()  # extras stand in brackets

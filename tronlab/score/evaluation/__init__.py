@@ -1,0 +1,1 @@
+"""What scores amount to: statistics with intervals, bins, recall, consistency, comparisons, tables."""

@@ -1,0 +1,1 @@
+"""Asking cores for the poses of shots: units, workers, a cluster, and what is kept of the answers."""
