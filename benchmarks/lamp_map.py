@@ -14,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 
-from tronlab.render.kernels import kernel
 from tronlab.render.lamp.map import LampMaps
 from tronlab.render.lamp.prefilter import make_pyramid
 from tronlab.render.lamp.sweep import sweep
@@ -24,7 +23,7 @@ from tronlab.render.raycast import MISSED, first_hit
 from tronlab.render.renderer import Lamp
 from tronlab.render.surface import NO_ALBEDO, facet_normal
 from tronlab.terrain.config import ProceduralTerrain
-from tronlab.terrain.kernels import n_cores, run_interleaved
+from tronlab.terrain.kernels import kernel, n_cores, run_interleaved
 from tronlab.terrain.load import load_terrain
 
 LAMPS_TRS_M = {

@@ -26,16 +26,18 @@ constexpr double START_SIGMA_M = 0.3, START_SIGMA_DEG = 3;
 constexpr double RAD = 3.14159265358979323846 / 180;
 
 struct Point { double p_trs[3], grey; };
+struct View { tlc_pose pose; std::vector<Point> points; };
 struct Cell { double sum = 0, n = 0; };
 struct Shift { double uv_px[2], likeness; bool is_inside; };
 struct Belief { tlc_pose pose; double covariance[6][6]; };
+/* A belief, the mean in cam of the terrain it should see, and how the image is shifted by that. */
+struct Comparison { Belief belief; double middle[3]; Shift shift; };
 
 struct Tracker {
     tlc_camera camera;
     int cell_px, rows, columns; /* side of a cell, and how many there are */
     double position_sigma_m, rotation_sigma_deg, min_likeness;
-    std::vector<tlc_pose> poses;             /* of the reference views */
-    std::vector<std::vector<Point>> terrain; /* as each of them shows it */
+    std::vector<View> views;
     std::optional<Belief> last;
 };
 
@@ -83,17 +85,15 @@ std::vector<Cell> cells_of(const Tracker &core, const tlc_frame &frame)
     return cells;
 }
 
-size_t nearest_view(const Tracker &core, const tlc_pose &pose)
+const View &nearest_view(const Tracker &core, const tlc_pose &pose)
 {
-    const auto distance = [&](const tlc_pose &view) {
-        return std::hypot(view.position_m[0] - pose.position_m[0],
-                          view.position_m[1] - pose.position_m[1],
-                          view.position_m[2] - pose.position_m[2]);
+    const auto distance = [&](const View &view) {
+        const double *a = view.pose.position_m, *b = pose.position_m;
+        return std::hypot(a[0] - b[0], a[1] - b[1], a[2] - b[2]);
     };
-    const auto nearest = std::min_element(
-        core.poses.begin(), core.poses.end(),
-        [&](const tlc_pose &a, const tlc_pose &b) { return distance(a) < distance(b); });
-    return size_t(nearest - core.poses.begin());
+    return *std::min_element(
+        core.views.begin(), core.views.end(),
+        [&](const View &a, const View &b) { return distance(a) < distance(b); });
 }
 
 /* Draw what a pose should see; middle becomes the mean of the terrain it sees, in cam. */
@@ -101,7 +101,7 @@ std::vector<Cell> drawing_of(const Tracker &core, const tlc_pose &pose, double m
 {
     std::vector<Cell> cells(size_t(core.rows * core.columns));
     double n = 0;
-    for (const Point &point : core.terrain[nearest_view(core, pose)]) {
+    for (const Point &point : nearest_view(core, pose).points) {
         double p[3], uv[2];
         tlc_to_cam(&pose, point.p_trs, p);
         if (p[2] <= 0 || std::abs(p[0] / p[2]) * core.camera.fx_px > core.camera.width_px
@@ -215,36 +215,46 @@ void update(const Tracker &core, Belief &belief, const double c[3], const Shift 
     correct(belief.pose, by);
 }
 
-void add_sigma(Belief &belief, double position_m, double rotation_deg)
+Belief less_certain(Belief belief, double position_m, double rotation_deg)
 {
     for (size_t i = 0; i < 6; i++) {
         const double sigma = i < 3 ? rotation_deg * RAD : position_m;
         belief.covariance[i][i] += sigma * sigma;
     }
+    return belief;
 }
 
-/* What may be believed: the prior, or the core's own last answer, and each reference view; of these
- * the one that the image is most like. */
-Belief belief_of(const Tracker &core, const tlc_frame &frame, const std::vector<Cell> &image)
+/* What may be believed: each reference view, and the prior or else the core's own last answer. */
+std::vector<Belief> beliefs_of(const Tracker &core, const tlc_frame &frame)
 {
     std::vector<Belief> beliefs;
-    for (const tlc_pose &pose : core.poses) {
-        beliefs.push_back({pose, {}});
-        add_sigma(beliefs.back(), START_SIGMA_M, START_SIGMA_DEG);
+    for (const View &view : core.views) {
+        beliefs.push_back(less_certain({view.pose, {}}, START_SIGMA_M, START_SIGMA_DEG));
     }
     if (frame.has_prior) {
         beliefs.push_back({frame.prior, {}});
         memcpy(beliefs.back().covariance, frame.prior_covariance, sizeof frame.prior_covariance);
     } else if (core.last) {
-        beliefs.push_back(*core.last);
-        add_sigma(beliefs.back(), core.position_sigma_m, core.rotation_sigma_deg);
+        beliefs.push_back(
+            less_certain(*core.last, core.position_sigma_m, core.rotation_sigma_deg));
     }
-    std::vector<double> values;
-    for (const Belief &belief : beliefs) {
-        double middle[3] = {0, 0, 0};
-        values.push_back(shift_of(core, image, drawing_of(core, belief.pose, middle)).likeness);
+    return beliefs;
+}
+
+/* Compare the image with what each belief should see; give the one it is most like. */
+Comparison best_comparison(const Tracker &core, const tlc_frame &frame)
+{
+    const std::vector<Cell> image = cells_of(core, frame);
+    Comparison best{};
+    best.shift.likeness = -2;
+    for (const Belief &belief : beliefs_of(core, frame)) {
+        Comparison next{belief, {0, 0, 0}, {}};
+        next.shift = shift_of(core, image, drawing_of(core, belief.pose, next.middle));
+        if (next.shift.likeness > best.shift.likeness) {
+            best = next;
+        }
     }
-    return beliefs[size_t(std::max_element(values.begin(), values.end()) - values.begin())];
+    return best;
 }
 
 bool read_setting(tlc_json settings, const char *name, double &value, double otherwise)
@@ -263,10 +273,9 @@ bool setup(void *state, const tlc_setup *setup, char *reason)
     core.rows = core.camera.height_px / core.cell_px;
     core.columns = core.camera.width_px / core.cell_px;
     for (size_t i = 0; i < setup->n_references; i++) {
-        core.poses.push_back(setup->references[i].pose);
-        core.terrain.push_back(points_of(core, setup->references[i]));
+        core.views.push_back({setup->references[i].pose, points_of(core, setup->references[i])});
     }
-    if (core.poses.empty()) {
+    if (core.views.empty()) {
         snprintf(reason, TLC_REASON_BYTES, "there are no reference views");
         return false;
     }
@@ -279,10 +288,7 @@ bool setup(void *state, const tlc_setup *setup, char *reason)
 void locate(void *state, const tlc_frame *frame, tlc_result *result)
 {
     Tracker &core = *static_cast<Tracker *>(state);
-    const std::vector<Cell> image = cells_of(core, *frame);
-    Belief belief = belief_of(core, *frame, image);
-    double middle[3] = {0, 0, 0};
-    const Shift shift = shift_of(core, image, drawing_of(core, belief.pose, middle));
+    auto [belief, middle, shift] = best_comparison(core, *frame);
     core.last.reset();
     if (shift.likeness < core.min_likeness || !shift.is_inside) {
         snprintf(result->reason, TLC_REASON_BYTES,

@@ -99,7 +99,7 @@ typedef struct tlc_setup {
 
 /* One image, valid until locate returns. */
 typedef struct tlc_frame {
-    uint64_t number; /* counts the frames of a sequence, from 0 */
+    uint64_t number; /* of the shot in its dataset, from 0 */
     double time_s;   /* of the exposure, Unix time; NaN if nobody knows it */
     tlc_array image;
     tlc_array mask; /* not 0 where features may be used */

@@ -1,9 +1,11 @@
-"""Compiles the renderer's kernels before the tests begin: else every worker would, at once."""
+"""Compiles the kernels before the tests begin: else every worker would, at once."""
 
 import numpy as np
 
 from tronlab.geometry.camera import CameraModel
 from tronlab.geometry.poses import pose_along_boresight
+from tronlab.nav.matching import load_kernels
+from tronlab.nav.settings import MatchingSettings
 from tronlab.render.heightfield import HeightfieldRenderer
 from tronlab.render.reference import ReferenceRenderer
 from tronlab.render.renderer import Lamp
@@ -15,6 +17,8 @@ POSE = pose_along_boresight((0.5, 0.5, 2.0), boresight=(0, 0, -1), right=(0, 1, 
 
 
 def main() -> None:
+    load_kernels(MatchingSettings(method="hashing"))
+    load_kernels(MatchingSettings(method="exact"))
     heights = np.random.default_rng(1).random((64, 64)) * 0.05
     heightmap = HeightMap(heights.astype(np.float32), 0.016, np.zeros(3))
     fast, reference = HeightfieldRenderer(heightmap, announce=print), ReferenceRenderer(heightmap)

@@ -68,11 +68,14 @@ def compare(
     from tronlab.score.evaluation.compare import compare as compare_pairs
     from tronlab.score.evaluation.compare import parse_tolerance, regressions
     from tronlab.score.evaluation.export import parse_formats
-    from tronlab.score.evaluation.pairing import pair_runs
+    from tronlab.score.evaluation.pairing import left_out, pair_runs
     from tronlab.score.results import load_results
 
     allowed, formats = parse_tolerance(tolerance), parse_formats(tables)
-    pairs = pair_runs([load_results(folder) for folder in directories], core or [])
+    results = [load_results(folder) for folder in directories]
+    pairs = pair_runs(results, core or [])
+    for run in left_out(results, pairs, core or []):
+        typer.echo(f"not compared, there is nothing to pair it with: {run}", err=True)
     comparisons = compare_pairs(pairs, metric or ["position_error_pct_los"])
     worse = {
         f"{comparison.pair.name}: {line}": None

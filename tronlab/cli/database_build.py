@@ -18,6 +18,11 @@ if TYPE_CHECKING:
     from tronlab.nav.view_spread import Spread
 
 
+_M_MMAP_THRESHOLD = -3
+"""Number of that parameter in ``malloc.h`` of the GNU C library."""
+_LARGE_BYTES = 1 << 20
+
+
 class FeatureKind(Enum):
     """Which detector and descriptor."""
 
@@ -109,6 +114,7 @@ def build(
     choice = Choice(poses, _spread(poses, views, range_m, tilt_deg=tilt_deg, seed=seed))
     check_choice(sources, choice)
     check_is_new(out)
+    _keep_large_arrays_off_the_heap()
     try:
         with open_live(sys.stderr) as live:
             opened = [
@@ -124,6 +130,15 @@ def build(
         f"{out}: {writer.n_landmarks} landmarks from {writer.n_views} views;"
         f" use it: tronlab score DATASET.h5 --database {out}"
     )
+
+
+def _keep_large_arrays_off_the_heap() -> None:
+    """Have memory of freed images returned, where the C library can: holes in the heap add up."""
+    import ctypes
+
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    if mallopt is not None:
+        mallopt(_M_MMAP_THRESHOLD, _LARGE_BYTES)
 
 
 def _spread(

@@ -43,7 +43,8 @@ def gather(
         on_shot: Told (shots done, shots in all).
 
     Raises:
-        ScoreError: A folder has no results, none with this database, or no right pose.
+        ScoreError: A folder has no results, none with this database, or no right pose; or a dataset
+            is no longer the one that was scored.
         DatasetError: A dataset that was scored cannot be read.
     """
     of_datasets: dict[Path, dict[int, list[NDArray[np.intp]]]] = {}
@@ -59,6 +60,11 @@ def gather(
             uuids.append(dataset.uuid or f"plan {dataset.provenance.plan_sha256}")
             rows = {int(shot_id): i for i, shot_id in enumerate(dataset.shot_ids)}
             for shot_id, landmarks in shots.items():
+                if shot_id not in rows:
+                    raise ScoreError(
+                        f"{path}: has no shot {shot_id}, which was scored: it is not the dataset it"
+                        " was then; score it again"
+                    )
                 i = rows[shot_id]
                 truth = dataset.truth(i).trs_from_cam
                 tally.add(dataset.camera, truth, dataset.mask(i), np.concatenate(landmarks))

@@ -30,6 +30,7 @@ def prune(
     max_error_pct: Annotated[
         float,
         typer.Option(
+            min=0.0,
             metavar="PCT",
             help="Largest error of a pose that counts as right there, in % of the line of sight.",
         ),
@@ -51,8 +52,8 @@ def prune(
             min=0.0,
             max=50.0,
             metavar="PCT",
-            help="One point seen in several views stays once if its descriptors differ in no more"
-            " of their bits; 5 saves a quarter and costs a fifth of the accuracy.",
+            help="One point seen in several views stays once, at its mean place, if its descriptors"
+            " differ in no more of their bits; 10 keeps a third of a dense database.",
         ),
     ] = 0.0,
     max_per_cell: Annotated[
@@ -99,9 +100,10 @@ def prune(
             source = read_database_file(path)
             database = source.database
             evidence = _evidence(database, verified_by or [], max_error_pct, live)
+            counts = evidence.counts if evidence else source.counts
             selection = select(
                 database,
-                evidence and evidence.counts,
+                counts,
                 rules,
                 on_progress=lambda n_done, n_all: live.advance(
                     "duplicates", n_done=n_done, n_all=n_all
@@ -118,9 +120,10 @@ def prune(
             save_selection(
                 source,
                 selection.chosen,
+                selection.p_trs_m,
                 out,
                 pruning=pruning,
-                counts=evidence.counts if evidence else source.counts,
+                counts=counts,
             )
     except KeyboardInterrupt:
         typer.echo(f"interrupted: nothing is left of {out}", err=True)

@@ -4,7 +4,8 @@ import hashlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from tempfile import TemporaryFile
+from typing import IO, TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -190,6 +191,8 @@ def render_views(
 ) -> Iterator[ReferenceView]:
     """Render views one by one: a sample first, for the grey scale that serves them all.
 
+    The sample waits on disk for its turn, so that memory has room for one view, not for all these.
+
     Args:
         scene: What to render.
         heightmap: The terrain, for the outline of the model.
@@ -200,32 +203,42 @@ def render_views(
         PlanError: No view of the sample shows any lit terrain.
     """
     ids = list(scene.poses)
-    chosen = database_indices(len(ids), n_views=min(N_SAMPLED, len(ids)))
-    sample: dict[int, _Seen] = {}
-    for view_id, seen in _render(scene, [ids[i] for i in chosen]):
-        sample[view_id] = seen
-        on_sample(len(sample), len(chosen))
-    scale = GreyScale.of([seen.radiance for seen in sample.values()])
-    others = _render(scene, [i for i in ids if i not in sample])
-    for view_id in ids:
-        seen = sample.pop(view_id) if view_id in sample else next(others)[1]
-        trs_from_cam = scene.poses[view_id]
-        is_model = model_mask(heightmap, scene.camera, trs_from_cam)
-        yield ReferenceView(
-            view_id=view_id,
-            # As a dataset stores it: the last bits, too, shall be those of its reference views.
-            trs_from_cam=pose_from_xyz_quat(xyz_quat_from_pose(trs_from_cam)),
-            image=scale.grey(seen.radiance),
-            depth_m=seen.depth_m,
-            mask=is_model & np.isfinite(seen.depth_m),
-        )
+    sampled = [ids[i] for i in database_indices(len(ids), n_views=min(N_SAMPLED, len(ids)))]
+    others = _render(scene, [i for i in ids if i not in sampled])
+    with TemporaryFile() as spool:
+        scale = _scale(scene, sampled, spool, on_sample)
+        spool.seek(0)
+        for view_id in ids:
+            seen = _Seen(np.load(spool), np.load(spool)) if view_id in sampled else next(others)
+            trs_from_cam = scene.poses[view_id]
+            is_model = model_mask(heightmap, scene.camera, trs_from_cam)
+            yield ReferenceView(
+                view_id=view_id,
+                # As a dataset stores it: the last bits, too, shall be those of its reference views.
+                trs_from_cam=pose_from_xyz_quat(xyz_quat_from_pose(trs_from_cam)),
+                image=scale.grey(seen.radiance),
+                depth_m=seen.depth_m,
+                mask=is_model & np.isfinite(seen.depth_m),
+            )
 
 
-def _render(scene: "Scene", view_ids: Sequence[int]) -> Iterator[tuple[int, _Seen]]:
+def _scale(
+    scene: "Scene", view_ids: Sequence[int], spool: IO[bytes], on_view: Callable[[int, int], None]
+) -> GreyScale:
+    """Render a sample of the views to disk, and choose the grey scale."""
+    radiances: list[NDArray[np.float32]] = []
+    for seen in _render(scene, view_ids):
+        np.save(spool, seen.radiance)
+        np.save(spool, seen.depth_m)
+        radiances.append(seen.radiance)
+        on_view(len(radiances), len(view_ids))
+    return GreyScale.of(radiances)
+
+
+def _render(scene: "Scene", view_ids: Sequence[int]) -> Iterator[_Seen]:
     poses = [scene.poses[i] for i in view_ids]
-    renderings = scene.renderer.render_batch(scene.camera, poses, scene.lamp, scene.settings)
-    for view_id, rendering in zip(view_ids, renderings, strict=True):
-        yield view_id, _Seen(rendering.radiance, rendering.depth_m)
+    for rendering in scene.renderer.render_batch(scene.camera, poses, scene.lamp, scene.settings):
+        yield _Seen(rendering.radiance, rendering.depth_m)
 
 
 def _poses(

@@ -33,8 +33,9 @@ def missing_poses(results: "ScoreResults") -> list[str]:
         rows = results.scores[results.scores["core"] == core]
         missing = rows[rows["status"] != "ok"]
         if len(missing):
-            shot_id, status = int(missing["shot_id"].iloc[0]), str(missing["status"].iloc[0])
-            reason = " ".join(results.reasons.get((core, shot_id), "").split())
+            first = missing.iloc[0]
+            seed, shot_id, status = int(first["seed"]), int(first["shot_id"]), str(first["status"])
+            reason = " ".join(results.reasons.get((core, seed, shot_id), "").split())
             why = f"{status}: {reason}" if reason else status
             lines.append(
                 f"{core}: {len(missing)} of {len(rows)} shots without a pose;"

@@ -5,7 +5,7 @@ settings of a stage agree share its work: database, features, matches.
 """
 
 from dataclasses import replace
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint, entry_points, version
 
 import cv2
 
@@ -13,6 +13,7 @@ from tronlab.errors import ScoreError
 from tronlab.nav.core import CoreContext, Frame, NavigationCore, NavigationResult
 from tronlab.nav.database_file import open_database
 from tronlab.nav.localisation import Fix, Localisation
+from tronlab.nav.matching import load_kernels
 from tronlab.nav.pose import NoPoseError
 from tronlab.nav.settings import PRESETS, FeatureCoreSettings, core_settings
 from tronlab.nav.sightings import landmark_finder
@@ -31,6 +32,8 @@ class FeatureCore:
         self._settings = settings
         self._seed = context.seed
         self._finder = landmark_finder(settings, context)
+        # Not in the first image's time: nor does a time limit's signal survive the compiler.
+        load_kernels(settings.matching)
 
     @property
     def name(self) -> str:
@@ -121,7 +124,10 @@ def built_in_identity(spec: CoreSpec) -> str:
     """
     settings = core_settings(spec.target, spec.settings)
     database = "" if settings.database is None else open_database(settings.database).digest
-    return f"{spec.target} {digest_of_stage('core')} opencv {cv2.__version__} {database}".strip()
+    libraries = f"opencv {cv2.__version__}"
+    if settings.pose.robust == "poselib":
+        libraries += f" poselib {version('poselib')}"
+    return f"{spec.target} {digest_of_stage('core')} {libraries} {database}".strip()
 
 
 def _feature_core(preset: str, context: CoreContext) -> NavigationCore:

@@ -158,6 +158,7 @@ def new_database(path: Path, detector: DetectorSettings) -> Generator[DatabaseWr
 def save_selection(
     source: DatabaseFile,
     chosen: NDArray[np.intp],
+    p_trs_m: FloatArray,
     path: Path,
     *,
     pruning: Pruning,
@@ -168,6 +169,7 @@ def save_selection(
     Args:
         source: The database.
         chosen: Indices of the landmarks that stay, ascending, shape (m,).
+        p_trs_m: Their places, shape (m, 3).
         path: The new file.
         pruning: Why these.
         counts: Of all landmarks of ``source``; those of the chosen go to the file.
@@ -183,12 +185,11 @@ def save_selection(
     with new_database(path, database.detector) as writer:
         writer.sources.extend(source.about.sources)
         writer.prunings.extend([*source.about.prunings, pruning])
-        for view, rows in enumerate(np.split(chosen, ends[:-1])):
+        pieces = np.split(chosen, ends[:-1]), np.split(p_trs_m, ends[:-1])
+        for view, (rows, places_m) in enumerate(zip(*pieces, strict=True)):
             writer.add(
                 source.views_trs_from_cam[view],
-                Landmarks(
-                    database.p_trs_m[rows], database.size_m[rows], database.descriptors[rows]
-                ),
+                Landmarks(places_m, database.size_m[rows], database.descriptors[rows]),
                 source=int(source.view_sources[view]),
                 counts=counts and Counts(counts.n_offered[rows], counts.n_verified[rows]),
             )

@@ -41,6 +41,10 @@ class Features:
     def __len__(self) -> int:
         return len(self.uv)
 
+    def take(self, chosen: slice) -> "Features":
+        """Give the chosen ones."""
+        return Features(self.uv[chosen], self.size_px[chosen], self.descriptors[chosen])
+
 
 class KeypointFinder(Protocol):
     """What OpenCV's feature classes have in common."""

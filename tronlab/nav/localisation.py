@@ -12,6 +12,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from tronlab.geometry.poses import FloatArray
 from tronlab.nav.core import Frame
+from tronlab.nav.features import Features
 from tronlab.nav.matching import Matches, guided_matches
 from tronlab.nav.pose import (
     Correspondences,
@@ -25,10 +26,15 @@ from tronlab.nav.pose import (
 from tronlab.nav.settings import FeatureCoreSettings
 from tronlab.nav.sightings import LandmarkFinder
 
+FIRST_FEATURES = 500
+"""Anywhere on the terrain, so many features are sought first, the strongest all over the image:
+most images need no more. Where the pose says, every feature is sought."""
 CONTROL_PX = 40.0
 """How far a pose is turned to see how many matches a wrong one has."""
 CONTROL_SIGMAS = 5.0
 """How many more the right one must have, in standard deviations of two counts."""
+CONTROL_MATCHES = 250
+"""So many, or a few more, are counted."""
 
 Stage: TypeAlias = Literal["detect", "match", "pose"]
 
@@ -57,6 +63,7 @@ class Localisation:
         self._seed = seed
         self.features, time_detect_s = finder.features(frame)
         self.n_matches = 0
+        """What the pose was last sought among."""
         self.times_s: dict[Stage, float] = {"detect": time_detect_s, "match": 0.0, "pose": 0.0}
         """As it took when it was computed; what comes from the store took longer then."""
 
@@ -73,6 +80,9 @@ class Localisation:
             # A wrong prior must not cost what the image alone gives.
             with suppress(NoPoseError):
                 return self._checked_fix(self._matches_near(prior.trs_from_cam, prior.covariance))
+        if self._pose.refine and len(self.features) > FIRST_FEATURES:
+            with suppress(NoPoseError):
+                return self._checked_fix(self._matches_anywhere(FIRST_FEATURES))
         return self._checked_fix(self._matches_anywhere())
 
     def _checked_fix(self, matches: Matches) -> Fix:
@@ -88,7 +98,7 @@ class Localisation:
         if not self._pose.refine:
             used = trusted.take(np.flatnonzero(agrees))
             return Fix(pose, None, self._bound(pose, self._correspondences(used)), used)
-        again = self._matches_near(pose, None) if self._matching.guided else matches
+        again = self._matches_near(pose) if self._matching.guided else matches
         with self._timed("pose"):
             return self._refined(pose, again)
 
@@ -103,11 +113,14 @@ class Localisation:
         turn = Rotation.from_rotvec([CONTROL_PX / self._finder.camera.fy_px, 0.0, 0.0])
         pose = fix.trs_from_cam
         turned = RigidTransform.from_components(pose.translation, pose.rotation * turn)
-        n, n_control = len(fix.matches), len(self._matches_near(turned, None))
+        step = max(len(fix.matches) // CONTROL_MATCHES, 1)
+        some = self.features.take(slice(None, None, step))
+        n = int(np.count_nonzero(fix.matches.feature % step == 0))
+        n_control = len(self._matches_near(turned, features=some))
         if n - n_control < CONTROL_SIGMAS * np.sqrt(n + n_control):
             raise NoPoseError(
-                f"{n} matches agree with the pose, and {n_control} with one that is wrong: turned"
-                f" by {CONTROL_PX:g} px"
+                f"of {len(some)} features, {n} agree with the pose, and {n_control} with one that"
+                f" is wrong: turned by {CONTROL_PX:g} px"
             )
 
     def _agreeing(self, matches: Correspondences) -> tuple[RigidTransform, NDArray[np.bool_]]:
@@ -119,6 +132,7 @@ class Localisation:
         return pose, agrees
 
     def _refined(self, start: RigidTransform, matches: Matches) -> Fix:
+        self.n_matches = len(matches)
         settings, camera = self._pose, self._finder.camera
         every = self._correspondences(matches)
         estimate = refine_pose(start, every, camera, gate_px=settings.gate_px)
@@ -153,15 +167,21 @@ class Localisation:
             is_trusted &= size_px <= self._matching.max_size_px
         return matches.take(np.flatnonzero(is_trusted))
 
-    def _matches_anywhere(self) -> Matches:
-        matches, time_s = self._finder.matches(self._frame)
+    def _matches_anywhere(self, n_features: int | None = None) -> Matches:
+        matches, time_s = self._finder.matches(self._frame, n_features)
         self.times_s["match"] += time_s
         return matches
 
-    def _matches_near(self, pose: RigidTransform, covariance: FloatArray | None) -> Matches:
-        finder = self._finder
+    def _matches_near(
+        self,
+        pose: RigidTransform,
+        covariance: FloatArray | None = None,
+        *,
+        features: Features | None = None,
+    ) -> Matches:
+        finder, sought = self._finder, self.features if features is None else features
         with self._timed("match"):
-            return guided_matches(finder.database, self.features, finder.camera, pose, covariance)
+            return guided_matches(finder.database, sought, finder.camera, pose, covariance)
 
     def _correspondences(self, matches: Matches) -> Correspondences:
         return self._finder.correspondences(self.features, matches)

@@ -42,9 +42,8 @@ class PruningRules(Model):
     min_offered: Count = 3
     """Landmarks offered in fewer shots stay: nobody knows yet."""
     max_differing_pct: Annotated[float, Field(ge=0, le=50)] = 0.0
-    """Landmarks of one point whose descriptors differ in no more of their bits are one; 0: only
-    equal ones. Each view places a point a little differently, which averages out in a pose: fewer
-    views of it make the pose worse."""
+    """Landmarks of one point whose descriptors differ in no more of their bits become one, at their
+    mean place; 0: only equal ones."""
     max_per_cell: Count | None = None
     """Most landmarks of one cell of the terrain and one octave of size; without a value all."""
     cell_m: Positive = 0.05
@@ -57,6 +56,8 @@ class Selection:
 
     chosen: Indices
     """Ascending, shape (m,)."""
+    p_trs_m: FloatArray
+    """Places of the chosen, shape (m, 3): the mean of all that were merged into each."""
     n_unverified: int
     """Taken out because they did not verify."""
     n_merged: int
@@ -119,9 +120,10 @@ def select(
 ) -> Selection:
     """Choose the landmarks that stay.
 
-    First go those that were offered but did not verify; then all but one of those that are the
-    same point with nearly the same descriptor; then those for which a cell has no room. Each time
-    the one stays that is more likely to verify, by Laplace's rule of succession from its counts.
+    First go those that were offered but did not verify; then those that are the same point with
+    nearly the same descriptor are merged into one; then go those for which a cell has no room. Each
+    time the one stays that is more likely to verify, by Laplace's rule of succession from its
+    counts.
 
     Args:
         database: All landmarks.
@@ -136,12 +138,15 @@ def select(
         likelihood = (counts.n_verified + 1.0) / (counts.n_offered + 2.0)
     verified = np.flatnonzero(stays)
     max_bits = rules.max_differing_pct / 100 * 8 * database.descriptors.shape[1]
-    distinct = _merge(database, verified, likelihood, max_bits=max_bits, on_progress=on_progress)
+    stands_for = _merge(database, verified, likelihood, max_bits=max_bits, on_progress=on_progress)
+    distinct = np.unique(stands_for)
+    places_m = _mean_places(database, verified, np.searchsorted(distinct, stands_for))
     chosen = distinct
     if rules.max_per_cell is not None:
         chosen = _thin(database, distinct, likelihood, rules.max_per_cell, cell_m=rules.cell_m)
     return Selection(
         chosen,
+        places_m[np.searchsorted(distinct, chosen)],
         n_unverified=len(database) - len(verified),
         n_merged=len(verified) - len(distinct),
         n_thinned=len(distinct) - len(chosen),
@@ -187,25 +192,40 @@ def _merge(
     max_bits: float,
     on_progress: Callable[[int, int], None],
 ) -> Indices:
-    """Leave out landmarks that are another one seen again.
+    """Find the landmarks that are another one seen again.
 
     Neighbours are looked for among landmarks of one octave of size, and those then of the octaves
     that begin half-way between: sizes on either side of a limit meet once.
+
+    Returns:
+        For each candidate the one that stays in its place, maybe itself, shape (candidates,).
     """
     n_all = 2 * len(candidates)
+    merged_into = np.arange(len(database))
+    left = candidates
     for turn, shift in enumerate(_OCTAVE_SHIFTS):
         n_done = turn * n_all // 2
-        kept: list[Indices] = [np.empty(0, np.intp)]
-        octave = _octave(database, candidates, shift)
-        for group in _groups(octave, database.p_trs_m[candidates, 0]):
-            members = candidates[group]
-            order = np.argsort(-likelihood[members], kind="stable")
-            kept.append(_distinct(database, members[order], max_bits=max_bits))
+        octave = _octave(database, left, shift)
+        for group in _groups(octave, database.p_trs_m[left, 0]):
+            members = left[group]
+            ordered = members[np.argsort(-likelihood[members], kind="stable")]
+            merged_into[ordered] = ordered[_best_alike(database, ordered, max_bits=max_bits)]
             n_done += len(group)
             on_progress(n_done, n_all)
-        candidates = np.sort(np.concatenate(kept))
+        left = left[merged_into[left] == left]
     on_progress(n_all, n_all)
-    return candidates
+    return merged_into[merged_into[candidates]]
+
+
+def _mean_places(database: Database, members: Indices, group: Indices) -> FloatArray:
+    """Give the mean place of each group of landmarks, shape (groups, 3).
+
+    Views place a point the less precisely the larger a pixel is on it, and so is a landmark.
+    """
+    weight = database.size_m[members] ** -2
+    places_m = database.p_trs_m[members]
+    total = [np.bincount(group, weight * places_m[:, axis]) for axis in range(3)]
+    return np.column_stack(total) / np.bincount(group, weight)[:, None]
 
 
 def _octave(database: Database, chosen: Indices, shift: float) -> NDArray[np.int64]:
@@ -220,20 +240,26 @@ def _groups(octave: NDArray[np.int64], x_m: FloatArray) -> Iterator[Indices]:
         yield from np.array_split(members, -(-len(members) // _NEIGHBOURS_AT_ONCE))
 
 
-def _distinct(database: Database, ordered: Indices, *, max_bits: float) -> Indices:
-    """Leave out of some landmarks, the best first, all that are the same as a better one."""
+def _best_alike(database: Database, ordered: Indices, *, max_bits: float) -> Indices:
+    """Give, for each of some landmarks, the best first, the index in them of the one that stays.
+
+    One stays unless it is the same as a better one that stays; it goes into the best of these.
+    """
     better, worse = _same(database, ordered, max_bits=max_bits)
     is_open = np.ones(len(ordered), np.bool_)
-    is_kept = np.zeros(len(ordered), np.bool_)
+    stays = np.zeros(len(ordered), np.bool_)
     while is_open.any():
         # The best of all that are still open depends on no other one: some are settled each time.
-        counts = is_open[better]
         is_settled = is_open.copy()
-        is_settled[worse[counts]] = False
-        is_kept |= is_settled
+        is_settled[worse[is_open[better]]] = False
+        stays |= is_settled
         is_open &= ~is_settled
         is_open[worse[is_settled[better]]] = False
-    return ordered[is_kept]
+    best = np.arange(len(ordered))
+    goes = stays[better] & ~stays[worse]
+    best[worse[goes]] = len(ordered)
+    np.minimum.at(best, worse[goes], better[goes])
+    return best
 
 
 def _same(database: Database, ordered: Indices, *, max_bits: float) -> tuple[Indices, Indices]:

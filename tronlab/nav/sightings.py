@@ -91,16 +91,23 @@ class LandmarkFinder:
         """Give the features of an image and the time it took to find them, seconds."""
         return self._features.find(frame, self._features.key(frame))
 
-    def matches(self, frame: Frame) -> tuple[Matches, float]:
-        """Give the matches of an image, found without a prior, and the time it took, seconds."""
+    def matches(self, frame: Frame, n_features: int | None = None) -> tuple[Matches, float]:
+        """Give the matches of an image, found without a prior, and the time it took, seconds.
+
+        Args:
+            frame: The image.
+            n_features: Of its features only the first; None: all.
+        """
         key = stage_key(
             features=self._features.key(frame),
+            n_features=n_features,
             database=self.database.digest,
             method=self._settings.matching.method,
             sources=digest_of_stage("matching"),
         )
         if self._last is None or self._last[0] != key:
-            self._last = key, self._kept(key) or self._matched(self.features(frame)[0], key)
+            sought = self.features(frame)[0].take(slice(n_features))
+            self._last = key, self._kept(key) or self._matched(sought, key)
         return self._last[1]
 
     def correspondences(self, features: Features, matches: Matches) -> Correspondences:

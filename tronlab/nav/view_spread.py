@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial.transform import RigidTransform
-from scipy.stats.qmc import Halton
 
 from tronlab.errors import ConfigError
 from tronlab.geometry.poses import FloatArray, pose_along_boresight
@@ -44,6 +43,8 @@ def spread_poses(
     Raises:
         ConfigError: Ranges or tilt are not possible, or put the camera into the model.
     """
+    from scipy.stats.qmc import Halton  # slow to import, and only a spread needs it
+
     _check(spread, clearance_m)
     shares = Halton(_N_DIMENSIONS, scramble=True, rng=spread.seed).random(spread.n_views)
     nearest_m, farthest_m = spread.range_m

@@ -10,11 +10,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tronlab.render.kernels import inlined
 from tronlab.render.photometry_kernel import PhotometryNumbers, reflected
 from tronlab.render.raycast import MISSED, first_hit
 from tronlab.render.shadow_reach import shadow_reach
 from tronlab.render.surface import Cone, albedo_at, cone_factor, facet_normal, smooth_normal
+from tronlab.terrain.kernels import inlined
 
 SHADOW_OFFSET_M = 1e-7
 """Light is looked for from this far above the surface, along the normal: well over what rounding

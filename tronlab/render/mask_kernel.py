@@ -1,7 +1,7 @@
 # pyright: basic
 """The compiled kernel of the mask: ten times faster than the same on whole arrays."""
 
-from tronlab.render.kernels import kernel
+from tronlab.terrain.kernels import kernel
 
 
 @kernel

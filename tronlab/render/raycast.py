@@ -14,8 +14,8 @@ cells, is read from the heights themselves.
 
 import numpy as np
 
-from tronlab.render.kernels import inlined, kernel
 from tronlab.render.surface import triangle
+from tronlab.terrain.kernels import inlined, kernel
 
 MISSED = -1.0
 """The ray leaves the model without meeting the surface."""

@@ -4,10 +4,10 @@
 
 import numpy as np
 
-from tronlab.render.kernels import inlined, kernel
 from tronlab.render.lighting import light_at
 from tronlab.render.raycast import first_hit
 from tronlab.render.view import direction_of
+from tronlab.terrain.kernels import inlined, kernel
 
 # A numpy integer: numba would compile a kernel anew for each Python constant given.
 _VIEW_LEVEL = np.int64(6)

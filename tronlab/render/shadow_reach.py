@@ -9,7 +9,6 @@ to the lamp, so that they need not be followed further. Coordinates are those of
 
 import numpy as np
 
-from tronlab.render.kernels import inlined, kernel
 from tronlab.render.quadtree import WIDE_LEVEL, Grid
 from tronlab.render.raycast import (
     ROUNDING_M,
@@ -19,6 +18,7 @@ from tronlab.render.raycast import (
     moved,
     stepped,
 )
+from tronlab.terrain.kernels import inlined, kernel
 
 _BLOCK = 1 << int(WIDE_LEVEL)
 

@@ -13,8 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tronlab.render.kernels import inlined
 from tronlab.render.renderer import SpotCone
+from tronlab.terrain.kernels import inlined
 
 NO_ALBEDO: NDArray[np.uint16] = np.empty((0, 0), dtype=np.uint16)
 """Stands for an albedo of 1 everywhere."""

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tronlab.render.kernels import inlined
+from tronlab.terrain.kernels import inlined
 
 
 class View(NamedTuple):

@@ -44,6 +44,8 @@ from tronlab.score.results import ScoreResults, load_results
 PAGE_NAME = "report.html"
 MAX_PAGE_SHOTS = 2000
 """More shots of a core than this are not listed on the page, which must stay quick to open."""
+MAX_DRAWN = 12
+"""More cores than this, as those of a sweep, are told apart in no chart: the best are drawn."""
 _OWN_TABLES = (
     "paper",
     "statistics",
@@ -88,6 +90,9 @@ class _Job:
     results: ScoreResults
     settings: ReportSettings
     styles: Mapping[str, CoreStyle]
+    """Of each core that is drawn; tables have all."""
+    not_drawn: str
+    """What a person should know of the others; empty if there are none."""
     worst: Mapping[str, _Answer]
     """Core to its worst answer."""
     sheet: tuple[_Answer, ...]
@@ -127,6 +132,8 @@ def build_report(
     try:
         with TemporaryDirectory(prefix=".report-", dir=directory) as staging:
             job = _job(results, chosen, Path(staging))
+            if job.not_drawn:
+                say(job.not_drawn)
             if job.recording.missing:
                 say(f"report without pictures: {job.recording.missing}")
             page = _make_page(job)
@@ -144,15 +151,18 @@ def _job(results: ScoreResults, settings: ReportSettings, staging: Path) -> _Job
         raise ScoreError(f"{results.directory}: the scores are empty; run tronlab score again")
     for name in ("figures", "tables"):
         (staging / name).mkdir()
-    worst = {core: _worst(_of(scores, core)) for core in cores}
-    sheet_core = _best_core(scores, cores)
+    best = _best_first(scores, cores)
+    drawn = [core for core in cores if core in best[:MAX_DRAWN]]
+    worst = {core: _worst(_of(scores, core)) for core in drawn}
+    sheet_core = best[0]
     of_sheet = _of(scores, sheet_core)
     sheet_seed = int(of_sheet["seed"].iloc[0])
     sheet = tuple(shots_over_range(of_sheet[of_sheet["seed"] == sheet_seed]))
     return _Job(
         results=results,
         settings=settings,
-        styles=core_styles(cores),
+        styles=core_styles(drawn),
+        not_drawn=_not_drawn(n_drawn=len(drawn), n_cores=len(cores)),
         worst=worst,
         sheet=tuple(_Answer(shot_id, sheet_seed) for shot_id in sheet),
         sheet_core=sheet_core,
@@ -177,6 +187,7 @@ def _make_page(job: _Job) -> Page:
         evaluation=evaluation,
         effort=effort,
         cores=[_core_section(job, core) for core in job.styles],
+        not_drawn=job.not_drawn,
         curves=_curves(job),
         pictures=[] if recording.missing else _pictures(job),
         pictures_missing=recording.missing,
@@ -204,7 +215,7 @@ def _core_section(job: _Job, core: str) -> CoreSection:
 
 
 def _curves(job: _Job) -> list[PageFigure]:
-    scores, folder = job.results.scores, job.staging / "figures"
+    scores, folder = _drawn(job), job.staging / "figures"
     against_range = error_against_range(scores, job.styles)
     distribution = error_distribution(scores, job.styles)
     return [
@@ -298,11 +309,25 @@ def _put_in_place(staging: Path, directory: Path) -> None:
             path.unlink()
 
 
-def _best_core(scores: pd.DataFrame, cores: list[str]) -> str:
-    """Give the core with the smallest median error; the first one if none has a pose."""
+def _best_first(scores: pd.DataFrame, cores: Sequence[str]) -> list[str]:
+    """Sort cores by their median error; those without a pose come last."""
     solved = scores[scores["status"] == "ok"]
-    medians = solved.groupby("core", sort=False)["position_error_pct_los"].median().dropna()
-    return str(medians.idxmin()) if len(medians) else cores[0]
+    medians = solved.groupby("core")["position_error_pct_los"].median().dropna()
+    return sorted(cores, key=lambda core: medians.get(core, float("inf")))
+
+
+def _not_drawn(*, n_drawn: int, n_cores: int) -> str:
+    if n_drawn == n_cores:
+        return ""
+    return (
+        f"pictures are of the {n_drawn} of {n_cores} cores with the least median position error;"
+        " tables are of all"
+    )
+
+
+def _drawn(job: _Job) -> pd.DataFrame:
+    """Give the scores of the cores that are drawn."""
+    return job.results.scores[job.results.scores["core"].isin(list(job.styles))]
 
 
 def _of(scores: pd.DataFrame, core: str) -> pd.DataFrame:

@@ -10,7 +10,14 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from tronlab.geometry.poses import FloatArray
-from tronlab.report.style import CoreStyle, new_figure, note, style_context
+from tronlab.report.style import (
+    CoreStyle,
+    drawn_names,
+    legend_above,
+    new_figure,
+    note,
+    style_context,
+)
 
 N_RANGE_BINS = 10
 """The median line has one point for each of these parts of the range."""
@@ -32,7 +39,7 @@ def error_against_range(scores: pd.DataFrame, styles: Mapping[str, CoreStyle]) -
             _draw_points(axes, scores[scores["core"] == core], core, style)
         is_missing = bool((scores["status"] != "ok").any())
         axes.set_xlabel(RANGE_LABEL + (", crosses: no pose" if is_missing else ""))
-        _finish(axes, is_empty=not _has_error(scores))
+        _finish(figure, axes, is_empty=not _has_error(scores))
         if _has_error(scores):
             log_axis(axes, "y")
         _draw_missed(axes, scores, styles)
@@ -52,7 +59,7 @@ def error_distribution(scores: pd.DataFrame, styles: Mapping[str, CoreStyle]) ->
             _draw_steps(axes, scores[scores["core"] == core], core, style)
         axes.set_ylim(0.0, 104.0)
         axes.set_ylabel("share of all answers [%]")
-        _finish(axes, is_empty=not _has_error(scores))
+        _finish(figure, axes, is_empty=not _has_error(scores))
         if _has_error(scores):
             log_axis(axes, "x")
         axes.set_xlabel(ERROR_LABEL)
@@ -95,7 +102,7 @@ def _draw_points(axes: Axes, rows: pd.DataFrame, core: str, style: CoreStyle) ->
     )
     axes.plot(
         *range_medians(range_m[has_error], error[has_error]),
-        "-",
+        style.line,
         color=style.colour,
         marker=style.marker,
         markersize=4.5,
@@ -130,6 +137,7 @@ def _draw_steps(axes: Axes, rows: pd.DataFrame, core: str, style: CoreStyle) -> 
         np.concatenate([error[:1], error]),
         np.concatenate([np.zeros(error[:1].size), share]),
         where="post",
+        linestyle=style.line,
         color=style.colour,
         linewidth=1.6,
         label=_label(rows, core),
@@ -154,11 +162,11 @@ def _has_error(scores: pd.DataFrame) -> bool:
     return bool(_is_drawn(scores).any())
 
 
-def _finish(axes: Axes, *, is_empty: bool) -> None:
+def _finish(figure: Figure, axes: Axes, *, is_empty: bool) -> None:
     axes.grid()
     if is_empty:
         note(axes, "no shot with a pose")
-    axes.legend(fontsize=8, ncols=2, loc="lower left", bbox_to_anchor=(0.0, 1.0))
+    legend_above(figure, drawn_names(axes))
 
 
 def log_axis(axes: Axes, which: str, *, dense_until: float = 300.0) -> None:

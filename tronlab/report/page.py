@@ -59,6 +59,9 @@ class Page:
     evaluation: "Evaluation"
     effort: Table
     cores: Sequence[CoreSection]
+    """Those that are drawn."""
+    not_drawn: str
+    """What is to be said of the others; empty if there are none."""
     curves: Sequence[PageFigure]
     pictures: Sequence[PageFigure]
     pictures_missing: str
@@ -100,12 +103,18 @@ def render_template(name: str, page: object) -> str:
     )
     environment.filters["keep_units_whole"] = _keep_units_whole
     environment.filters["interval_below"] = _interval_below
+    environment.filters["breakable"] = _breakable
     return environment.get_template(name).render(page=page)
 
 
 def _keep_units_whole(heading: str) -> str:
     """Let no line end inside the unit of a heading."""
     return re.sub(r"\[.*?\]", lambda unit: unit.group().replace(" ", "\N{NO-BREAK SPACE}"), heading)
+
+
+def _breakable(name: str) -> Markup:
+    """Let a line end between the parts of a variant's name."""
+    return Markup("<wbr>").join(re.split(r"(?<=[,@])(?=\S)", name))
 
 
 def _interval_below(cell: str) -> Markup:

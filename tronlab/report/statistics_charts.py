@@ -9,9 +9,16 @@ from matplotlib.figure import Figure
 
 from tronlab.geometry.poses import FloatArray
 from tronlab.report.curves import ERROR_LABEL, SMALLEST_ERROR_PCT_LOS, log_axis
-from tronlab.report.style import CoreStyle, new_figure, note, style_context
+from tronlab.report.style import (
+    CoreStyle,
+    drawn_names,
+    legend_above,
+    new_figure,
+    note,
+    style_context,
+)
 from tronlab.score.evaluation.bins import BINNED_BY, Bin
-from tronlab.score.evaluation.consistency import N_SIGMA_TRUTH, NEES_DOF
+from tronlab.score.evaluation.consistency import N_SIGMA_TRUTH, nees_quantiles
 from tronlab.score.evaluation.recall import Threshold, recall
 
 TRUTH_LABEL = "error / sigma of truth"
@@ -46,7 +53,7 @@ def error_boxes(
             log_axis(axes, "y")
         else:
             note(axes, "no shot with a pose")
-        _legend(axes)
+        legend_above(figure, drawn_names(axes))
     return figure
 
 
@@ -75,7 +82,7 @@ def recall_curve(
         axes.grid()
         axes.set_ylabel("share of all answers within both [%]")
         axes.set_xlabel(f"threshold: x % of LOS and {deg_per_pct:.3g} x deg")
-        _legend(axes)
+        legend_above(figure, drawn_names(axes))
     return figure
 
 
@@ -106,9 +113,8 @@ def consistency_chart(scores: pd.DataFrame, styles: Mapping[str, CoreStyle]) -> 
             else:
                 note(axes, missing)
         panels[0].set_ylabel("share of answers with a pose [%]")
-        handles, labels = panels[0].get_legend_handles_labels()
-        if handles:
-            figure.legend(handles, labels, fontsize=8, ncols=4, loc="outside upper left")
+        named = {name: line for axes in panels for name, line in drawn_names(axes).items()}
+        legend_above(figure, named)
     return figure
 
 
@@ -167,6 +173,7 @@ def _draw_recall(
         needed,
         100.0 * n_within / max(len(rows), 1),
         where="post",
+        linestyle=style.line,
         color=style.colour,
         linewidth=1.6,
         label=str(rows["core"].iloc[0]),
@@ -203,19 +210,21 @@ def _draw_steps(axes: Axes, values: "pd.Series[float]", style: CoreStyle, core: 
     found = found[np.isfinite(found) & (found > 0.0)]
     if found.size:
         share = 100.0 * np.arange(1, found.size + 1) / found.size
-        axes.step(found, share, where="post", color=style.colour, linewidth=1.6, label=core)
+        axes.step(
+            found,
+            share,
+            where="post",
+            linestyle=style.line,
+            color=style.colour,
+            linewidth=1.6,
+            label=core,
+        )
 
 
 def _draw_reference(axes: Axes, label: str) -> None:
     """Draw where the truth may be the limit, or the distribution of honest NEES."""
-    from scipy.stats import chi2
-
     if label == TRUTH_LABEL:
         axes.axvline(N_SIGMA_TRUTH, color="black", linewidth=1.0, linestyle=":")
     elif label == NEES_LABEL:
         share = np.linspace(0.01, 0.999, 200)
-        axes.plot(chi2.ppf(share, NEES_DOF), 100.0 * share, "k--", linewidth=1.0)
-
-
-def _legend(axes: Axes) -> None:
-    axes.legend(fontsize=8, ncols=4, loc="lower left", bbox_to_anchor=(0.0, 1.0))
+        axes.plot(nees_quantiles(share), 100.0 * share, "k--", linewidth=1.0)

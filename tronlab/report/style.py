@@ -9,6 +9,7 @@ from types import MappingProxyType
 from typing import Any, cast
 
 import matplotlib as mpl
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.backends.backend_pdf import FigureCanvasPdf
@@ -21,6 +22,8 @@ AXIS_COLOURS: Mapping[str, str] = MappingProxyType({"x": "#d62728", "y": "#2ca02
 _CORE_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
 """Okabe and Ito, Color Universal Design (2008): told apart with any colour vision."""
 _CORE_MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
+_CORE_LINES = ("-", "--", ":")
+"""One after the other, whenever all colours are used up."""
 _USUAL_CORES = ("akaze", "brisk", "akaze-refined", "brisk-refined")
 
 _RC: dict[str, Any] = {
@@ -37,6 +40,9 @@ _RC: dict[str, Any] = {
     "pdf.fonttype": 42,
 }
 DPI = 130
+_LEGEND_PT = 8.0
+_LETTER_IN, _HANDLE_IN, _ROW_IN = 0.07, 0.45, 0.165
+"""Sizes of a letter, of a handle with its margins and of a row of a legend in this font size."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +51,8 @@ class CoreStyle:
 
     colour: str
     marker: str
+    line: str
+    """Dashes, as matplotlib writes them."""
     slug: str
     """The core's name made fit for a file name."""
 
@@ -54,19 +62,21 @@ def core_styles(cores: Sequence[str]) -> dict[str, CoreStyle]:
     others = [core for core in cores if core not in _USUAL_CORES]
     order = [*_USUAL_CORES, *others]
     slugs = _unique_slugs(cores)
-    return {
-        core: CoreStyle(
-            colour=_CORE_COLOURS[order.index(core) % len(_CORE_COLOURS)],
-            marker=_CORE_MARKERS[order.index(core) % len(_CORE_MARKERS)],
-            slug=slugs[core],
-        )
-        for core in cores
-    }
+    return {core: _style(order.index(core), slugs[core]) for core in cores}
 
 
 def slug_of(name: str) -> str:
     """Make a name fit for a file name."""
     return re.sub(r"[^A-Za-z0-9_-]+", "_", name) or "_"
+
+
+def _style(i: int, slug: str) -> CoreStyle:
+    return CoreStyle(
+        colour=_CORE_COLOURS[i % len(_CORE_COLOURS)],
+        marker=_CORE_MARKERS[i % len(_CORE_MARKERS)],
+        line=_CORE_LINES[i // len(_CORE_COLOURS) % len(_CORE_LINES)],
+        slug=slug,
+    )
 
 
 def _unique_slugs(cores: Sequence[str]) -> dict[str, str]:
@@ -93,6 +103,36 @@ def style_context() -> AbstractContextManager[None]:
 def note(axes: Axes, text: str) -> None:
     """Write into the middle of an empty panel why it is empty."""
     axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color="#666666")
+
+
+def legend_above(figure: Figure, named: Mapping[str, Artist]) -> None:
+    """Name what is drawn, above all panels, in as many columns as the names leave room for.
+
+    The figure grows with the rows, so that many names, or long ones, take nothing from the panels.
+
+    Args:
+        figure: With a constrained layout.
+        named: What is drawn by its name; nothing happens without any.
+    """
+    if not named:
+        return
+    width_in = _HANDLE_IN + _LETTER_IN * max(map(len, named))
+    n_columns = min(max(int(figure.get_figwidth() / width_in), 1), len(named))
+    n_rows = -(-len(named) // n_columns)
+    figure.set_figheight(figure.get_figheight() + _ROW_IN * (n_rows - 1))
+    figure.legend(
+        list(named.values()),
+        list(named),
+        fontsize=_LEGEND_PT,
+        ncols=n_columns,
+        loc="outside upper left",
+    )
+
+
+def drawn_names(axes: Axes) -> dict[str, Artist]:
+    """Give what is drawn in a panel by its name; of what has the same name, the last."""
+    handles, labels = axes.get_legend_handles_labels()
+    return dict(zip(labels, handles, strict=True))
 
 
 # Canvases are told to print, since Figure.savefig draws everything twice.

@@ -12,7 +12,15 @@ from matplotlib.ticker import FixedLocator, NullFormatter, NullLocator
 
 from tronlab.geometry.poses import FloatArray
 from tronlab.report.curves import ERROR_LABEL
-from tronlab.report.style import core_styles, new_figure, note, save_chart, style_context
+from tronlab.report.style import (
+    core_styles,
+    drawn_names,
+    legend_above,
+    new_figure,
+    note,
+    save_chart,
+    style_context,
+)
 from tronlab.score.sweep import Value, Variant
 
 TABLE = "sweep.csv"
@@ -128,7 +136,8 @@ def sweep_figure(table: pd.DataFrame, variants: Sequence[Variant]) -> Figure:
         _name_errors(panels[0, 0], found.error)
         panels[1, 0].set_ylabel("solved [%]")
         panels[1, 0].set_ylim(-4.0, 104.0)
-        _name_lines(figure, panels[0, 0])
+        named = {name: line for axes in panels[0] for name, line in drawn_names(axes).items()}
+        legend_above(figure, named)
     return figure
 
 
@@ -219,9 +228,3 @@ def _name_errors(axes: Axes, error: "pd.Series[float]") -> None:
         axes.set_yscale("log")
     else:
         axes.set_ylim(bottom=0.0)
-
-
-def _name_lines(figure: Figure, axes: Axes) -> None:
-    handles, labels = axes.get_legend_handles_labels()
-    unique = dict(zip(labels, handles, strict=True))
-    figure.legend(unique.values(), unique.keys(), fontsize=8, ncols=2, loc="outside upper left")

@@ -11,8 +11,8 @@ from tronlab.report.paper import DATASET_0, PAPER_CORES
 from tronlab.score.evaluation.export import MISSING, Cell, Column, Table
 from tronlab.score.evaluation.statistics import statistics
 
-Reasons: TypeAlias = Mapping[tuple[str, int], str]
-"""Why a core gave no pose, by core and shot id."""
+Reasons: TypeAlias = Mapping[tuple[str, int, int], str]
+"""Why a core gave no pose, by core, seed and shot id."""
 N_WORST = 5
 """Rows of the table of worst shots, a core."""
 
@@ -174,7 +174,7 @@ def _verdict(is_within: bool) -> str:
 
 
 def _with_reason(rows: pd.DataFrame, reasons: Reasons) -> pd.DataFrame:
-    keys = zip(rows["core"].tolist(), rows["shot_id"].tolist(), strict=True)
+    keys = zip(*(rows[name].tolist() for name in ("core", "seed", "shot_id")), strict=True)
     return rows.assign(reason=[reasons.get(key, "") for key in keys])
 
 

@@ -63,18 +63,18 @@ def copy_matches(source_path: Path, target_path: Path, cores: Iterable[str]) -> 
                 source.copy(shots, target)
 
 
-def read_reasons(path: Path) -> dict[tuple[str, int], str]:
-    """Read why cores gave no pose, by core and shot id; of several seeds the first that did not.
+def read_reasons(path: Path) -> dict[tuple[str, int, int], str]:
+    """Read why cores gave no pose, by core, seed and shot id.
 
     Raises:
         ScoreError: The file cannot be read.
     """
-    reasons: dict[tuple[str, int], str] = {}
     with _opened(path) as file:
-        for core, _, shot_id, group in _groups(file):
-            if reason := str(group.attrs["reason"]):
-                reasons.setdefault((core, shot_id), reason)
-    return reasons
+        return {
+            (core, seed, shot_id): reason
+            for core, seed, shot_id, group in _groups(file)
+            if (reason := str(group.attrs["reason"]))
+        }
 
 
 def read_uv_inliers(path: Path, core: str, shot_id: int, seed: int) -> FloatArray:

@@ -61,7 +61,7 @@ def score_jobs(
         shot.
 
     Raises:
-        DatasetError: A dataset cannot be read.
+        DatasetError: A dataset or a file of landmarks cannot be read.
         ScoreError: A core that is not known or cannot be made, nothing to score, a folder with
             results of another dataset, results that cannot be written, or a scoring that was cut
             short: its text then says where the rows scored so far are.
@@ -193,6 +193,9 @@ class _Session:
         n_todo = n_left = self._n_missing()
         if not n_todo:
             return
+        for scoring in self._scorings:
+            if scoring.n_missing:
+                scoring.check_images()
         self._progress(0, n_todo)
         units = [unit for scoring in self._scorings for unit in scoring.units()]
         for phase in _phases(units):

@@ -52,8 +52,8 @@ class ScoreResults:
     """Versions of what shaped the numbers."""
     scored_utc: str
     """When, ISO 8601."""
-    reasons: Mapping[tuple[str, int], str]
-    """Why a core gave no pose, by core and shot id."""
+    reasons: Mapping[tuple[str, int, int], str]
+    """Why a core gave no pose, by core, seed and shot id."""
     kept: Mapping[str, Mapping[str, Any]]
     """``scored_utc`` and ``software`` of each core that an earlier scoring left here."""
     definitions: Mapping[str, Mapping[str, Any]] = field(default_factory=dict[str, Any])

@@ -1,11 +1,13 @@
 """The table of scores: its columns, and one row of it."""
 
+import zlib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
 import pandas as pd
+from scipy.spatial.transform import RigidTransform
 
 from tronlab.dataset.reader import Dataset
 from tronlab.dataset.records import Truth
@@ -45,6 +47,7 @@ COLUMNS = {
     "bound_m": "float64",
     "nees": "float64",
     "phase_deg": "float64",
+    "truth_crc": "int64",
 }
 """Columns of ``scores.csv`` in their order, and the type of each."""
 
@@ -57,6 +60,7 @@ DEFAULTS: Mapping[str, str | int | float] = MappingProxyType(
         "bound_m": np.nan,
         "nees": np.nan,
         "phase_deg": np.nan,
+        "truth_crc": 0,
     }
 )
 """What stands for a column that a table of an earlier version does not have."""
@@ -107,8 +111,19 @@ def score_row(core: str, seed: int, shot: ShotFacts, result: NavigationResult) -
         "seed": seed,
         "sigma_truth_m": position_sigma_m(truth.covariance),
         "phase_deg": float(np.degrees(shot.phase_rad)),
+        "truth_crc": pose_crc(truth.trs_from_cam),
     }
     return row | _error_cells(truth, result)
+
+
+def pose_crc(trs_from_cam: RigidTransform) -> int:
+    """Give the checksum of a pose by which scores of the same truth are known; never 0.
+
+    It is the CRC-32 of position and rotation matrix, rounded to a billionth of metre and unit:
+    another computer, whose last digits differ, has the same.
+    """
+    billionths = np.rint(1e9 * trs_from_cam.as_matrix()[:3]).astype("<i8")
+    return zlib.crc32(billionths.tobytes()) or 1
 
 
 def score_table(rows: Iterable[Row]) -> pd.DataFrame:

@@ -63,6 +63,9 @@ def test_a_regression_has_exit_code_1_and_says_what_is_worse(scored):
     assert run(before, after, "--tolerance", "60%").exit_code == 0
     assert run(after, before).exit_code == 0
     assert run(before, after, "--core", "akaze").exit_code == 0
+    alone = run(before, scored("alone", {"akaze": 1.0}))
+    assert alone.exit_code == 0
+    assert alone.stderr == (f"not compared, there is nothing to pair it with: brisk of {before}\n")
 
 
 def test_a_lost_pose_is_a_regression(scored):

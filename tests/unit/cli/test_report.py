@@ -9,6 +9,9 @@ from tronlab.cli.report import report
 from tronlab.dataset.reader import Dataset
 from tronlab.errors import ScoreError
 from tronlab.nav.core import NavigationResult
+from tronlab.report.build import ReportSettings
+from tronlab.report.evaluation import EvaluationSettings
+from tronlab.score.evaluation.recall import Threshold
 from tronlab.score.rescoring.shot import CoreScore
 from tronlab.score.results import save_results
 from tronlab.score.table import score_row, shot_facts
@@ -38,33 +41,23 @@ def scored(small_dataset):
 
 
 def test_prints_the_table_and_where_the_page_is(scored, monkeypatch):
-    def empty_chart(_figure, folder, stem):
-        path = folder / f"{stem}.png"
-        path.touch()
-        return path
+    chosen = []
 
-    for module in ("build", "evaluation"):
-        monkeypatch.setattr(f"tronlab.report.{module}.save_chart", empty_chart)
-    result = run(scored)
-    assert result.exit_code == 0, result.output
-    lines = result.stdout.splitlines()
-    assert (lines[1].split()[0], lines[1].split()[-1]) == ("fixed", "3/5")
-    assert lines[-1] == f"report: {scored / 'report.html'}"
-    assert result.stderr == ""
-    page = (scored / "report.html").read_text(encoding="utf-8")
-    assert "too dark" in page
-    assert (scored / "figures" / "contact_sheet.jpg").is_file()
-
-
-def test_announcements_go_to_stderr(scored, monkeypatch):
     def build(directory, *, settings, announce):
+        chosen.append(settings)
         announce("report without pictures: no such file")
         return directory / "report.html"
 
     monkeypatch.setattr("tronlab.report.build.build_report", build)
-    result = run(scored)
+    options = ("--tables", "json", "--recall", "1,2", "--bins", "range_los_m=1,2")
+    result = run(scored, *options)
+    assert result.exit_code == 0, result.output
+    lines = result.stdout.splitlines()
+    assert (lines[1].split()[0], lines[1].split()[-1]) == ("fixed", "3/5")
+    assert lines[-1] == f"report: {scored / 'report.html'}"
     assert result.stderr == "report without pictures: no such file\n"
-    assert "without pictures" not in result.stdout
+    evaluation = EvaluationSettings((Threshold(1.0, 2.0),), {"range_los_m": (1.0, 2.0)})
+    assert chosen == [ReportSettings(("json",), evaluation)]
 
 
 def test_folder_without_scores(tmp_path):

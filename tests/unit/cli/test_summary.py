@@ -29,16 +29,16 @@ def test_a_core_without_poses_says_how_many_and_why() -> None:
         "raiser": ["error", "error"],
         "mute": ["ok", "no_pose"],
     }
-    rows = [(core, shot_id, s) for core, found in status.items() for shot_id, s in enumerate(found)]
+    rows = [(core, 0, shot_id, s) for core, of in status.items() for shot_id, s in enumerate(of)]
     results = ScoreResults(
         directory=Path(),
-        scores=pd.DataFrame(rows, columns=["core", "shot_id", "status"]),
+        scores=pd.DataFrame(rows, columns=["core", "seed", "shot_id", "status"]),
         summary={core: {} for core in status},
         dataset_path=Path("dataset.h5"),
         cores=tuple(status),
         software={},
         scored_utc="",
-        reasons={("raiser", 0): "ValueError: boom\n  at noon", ("raiser", 1): "later"},
+        reasons={("raiser", 0, 0): "ValueError: boom\n  at noon", ("raiser", 0, 1): "later"},
         kept={},
     )
     assert missing_poses(results) == [

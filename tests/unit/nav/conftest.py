@@ -36,7 +36,7 @@ class Scene:
         directions = directions @ trs_from_cam.rotation.as_matrix().T
         start = trs_from_cam.translation
         depth = np.full(camera.shape, start[2])
-        for _ in range(60):
+        for _ in range(25):
             p = start + directions * depth[..., None]
             depth += (p[..., 2] - self.height_m(p[..., 0], p[..., 1])) / -directions[..., 2]
         p = start + directions * depth[..., None]

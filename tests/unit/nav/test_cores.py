@@ -1,16 +1,19 @@
 """The built-in cores on a synthetic scene, and how cores are found by name."""
 
 from dataclasses import replace
-from importlib.metadata import EntryPoint
+from importlib.metadata import EntryPoint, version
 
 import numpy as np
 import pytest
+from dict_store import DictStore
 
 from tronlab.errors import ConfigError, ScoreError, TronlabError
 from tronlab.geometry.uncertainty import pose_difference
-from tronlab.nav import cores, sightings
+from tronlab.nav import cores, localisation, sightings
 from tronlab.nav.core import CoreContext, Frame, NavigationCore, PosePrior
 from tronlab.nav.cores import BUILT_IN_CORES, built_in_identity, is_built_in, known_cores, make_core
+from tronlab.nav.matching.guided_kernel import search_near
+from tronlab.nav.matching.hashing_kernel import look_up
 from tronlab.nav.specs import CoreSpec, parse_core
 
 pytestmark = pytest.mark.opencv
@@ -107,14 +110,52 @@ def test_a_prior_leads_to_the_same_pose_and_a_wrong_one_does_no_harm(
         assert np.linalg.norm(pose_difference(result.trs_from_cam, truth)[3:]) < 0.004
 
 
-@pytest.mark.parametrize("robust", ["ransac", "usac", "poselib"])
-@pytest.mark.parametrize("solver", ["epnp", "sqpnp"])
+@pytest.mark.parametrize(
+    ("robust", "solver"), [("ransac", "epnp"), ("usac", "sqpnp"), ("poselib", "sqpnp")]
+)
 def test_every_estimator_serves_a_core(robust: str, solver: str, context, scene, pose, rng) -> None:
     truth = pose(2.1, x_m=0.05)
     core = built_in("akaze-refined", context, pose={"robust": robust, "solver": solver})
     result = core.locate(shot(scene, truth, rng))
     assert result.status == "ok", result.reason
     assert np.linalg.norm(pose_difference(result.trs_from_cam, truth)[3:]) < 0.004
+
+
+@pytest.mark.parametrize(("n_first", "n_searches"), [(60, 1), (5, 2)])
+def test_all_features_are_sought_anywhere_only_if_the_first_give_no_pose(
+    n_first: int, n_searches: int, camera, references, scene, pose, rng, monkeypatch
+) -> None:
+    truth = pose(2.1, x_m=0.05)
+    frame, store = shot(scene, truth, rng), DictStore()
+    monkeypatch.setattr(localisation, "FIRST_FEATURES", n_first)
+    core = built_in("akaze-refined", CoreContext(camera, references, stages=store))
+    result = core.locate(frame)
+    assert result.status == "ok", result.reason
+    assert np.linalg.norm(pose_difference(result.trs_from_cam, truth)[3:]) < 0.004
+    searches = [arrays for (stage, _), arrays in store.kept.items() if stage == "matches"]
+    assert len(searches) == n_searches
+    assert searches[0]["feature"].max() < n_first
+    # All features take part in the pose, whatever the first ones were enough for.
+    assert n_first < result.n_inliers <= result.n_matches
+
+
+def test_a_pose_as_good_as_a_wrong_one_is_refused(context, scene, pose, rng, monkeypatch) -> None:
+    """Turned by nothing, the wrong pose is the right one."""
+    monkeypatch.setattr(localisation, "CONTROL_PX", 0.0)
+    for n_counted in (10, 10_000):
+        monkeypatch.setattr(localisation, "CONTROL_MATCHES", n_counted)
+        result = built_in("akaze-refined", context).locate(shot(scene, pose(2.1), rng))
+        assert result.status == "no_pose"
+        assert "agree with the pose" in result.reason
+
+
+def test_kernels_are_there_before_the_first_image(context, scene, pose, rng) -> None:
+    core = built_in("akaze-refined", context)
+    compiled = [len(kernel.signatures) for kernel in (look_up, search_near)]
+    frame = shot(scene, pose(2.1), rng)
+    prior = PosePrior(pose(2.1), np.asfortranarray(np.diag([1e-3] * 3 + [0.02] * 3) ** 2))
+    assert core.locate(frame).status == core.locate(replace(frame, prior=prior)).status == "ok"
+    assert compiled == [len(kernel.signatures) for kernel in (look_up, search_near)] == [1, 1]
 
 
 def test_a_wrong_setting_says_what_is_known(context) -> None:
@@ -125,6 +166,9 @@ def test_a_wrong_setting_says_what_is_known(context) -> None:
 def test_identity_follows_settings_that_name_a_file_and_the_code() -> None:
     spec = parse_core("akaze-refined")
     assert built_in_identity(spec) == built_in_identity(replace(spec, name="other"))
+    poselib = replace(spec, settings={"pose": {"robust": "poselib"}})
+    assert f"poselib {version('poselib')}" in built_in_identity(poselib)
+    assert "poselib" not in built_in_identity(spec)
     missing = replace(spec, settings={"database": "missing.h5"})
     with pytest.raises(TronlabError, match=r"missing\.h5"):
         built_in_identity(missing)

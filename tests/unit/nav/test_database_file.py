@@ -128,7 +128,9 @@ def test_a_selection_keeps_views_poses_and_history(database_path: Path, tmp_path
         )
         path = tmp_path / f"pruned{step}.h5"
         chosen = np.arange(20, len(source.database))
-        save_selection(source, chosen, path, pruning=pruning, counts=counts)
+        save_selection(
+            source, chosen, source.database.p_trs_m[chosen], path, pruning=pruning, counts=counts
+        )
         verify_database(path)
         pruned = read_database_file(path)
         for ours, theirs in zip(rows_of(pruned.database), rows_of(source.database), strict=True):

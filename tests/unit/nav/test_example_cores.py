@@ -30,7 +30,7 @@ from tronlab.nav.specs import parse_core
 ROOT = Path(__file__).parents[3]
 EXAMPLES = ROOT / "examples/cores"
 STRICT = "-Wall -Wextra -Wpedantic -Werror"
-SANITIZERS = "-g -fsanitize=address,undefined -fno-sanitize-recover=all"
+SANITIZERS = "-fsanitize=address,undefined -fno-sanitize-recover=all"
 SMALL = CameraModel(32, 24, 25.0, 25.0, 15.6, 11.5, (-0.1, 0.02, 1e-4, 2e-4, 0.0, 0.01, 0.0, 0.5))
 LENS = CameraModel(160, 144, 125.0, 125.5, 79.0, 72.3, (-0.11, 0.04, 4e-4, -3e-4))
 
@@ -41,29 +41,20 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     if not (shutil.which("cc") and shutil.which("c++")):
         pytest.skip("no C and C++ compiler")
     folder = tmp_path_factory.mktemp("cores")
-    probe = folder / "probe.c"
-    probe.write_text("int main(void) { return 0; }\n")
-    command = ["cc", *SANITIZERS.split(), str(probe), "-o", str(folder / "probe")]
-    has_sanitizers = not subprocess.run(command, capture_output=True, check=False).returncode
-    checks = f"{STRICT} {SANITIZERS if has_sanitizers else '-O1'}"
-    builds = {
-        "echo": f"cc -std=c99 {checks} -I{EXAMPLES} {ROOT}/tests/support/echoing_core.c",
-        "nearest_view": f"cc -std=c99 {checks} {EXAMPLES}/nearest_view.c",
-    }
-    running = [
-        subprocess.Popen([*build.split(), "-o", folder / name, "-lm"], stderr=subprocess.PIPE)
-        for name, build in builds.items()
-    ]
-    # As their README says, by the Makefile, optimised; the C++ library checks its indices.
+    echo, checks = folder / "echo", SANITIZERS
+    command = f"cc -std=c99 {STRICT} -I{EXAMPLES} {ROOT}/tests/support/echoing_core.c -lm -o {echo}"
+    if subprocess.run([*command.split(), *checks.split()], check=False).returncode:
+        checks = "-O1"
+        subprocess.run([*command.split(), checks], check=True)
+    # As their README says, by the Makefile; the C++ library checks its indices.
     programs_left = shutil.ignore_patterns("nearest_view", "track_prior")
     made = shutil.copytree(EXAMPLES, folder / "made", ignore=programs_left)
-    flags = [f"CFLAGS=-O2 {STRICT}", f"CXXFLAGS=-O2 {STRICT} -D_GLIBCXX_ASSERTIONS"]
-    running.append(subprocess.Popen(["make", "-sC", made, *flags], stderr=subprocess.PIPE))
-    for process in running:
-        _, complaints = process.communicate()
-        assert process.returncode == 0, complaints.decode()
-    made_names = {"optimised": made / "nearest_view", "track_prior": made / "track_prior"}
-    return {name: folder / name for name in builds} | made_names
+    flags = [f"CFLAGS={STRICT} {checks}", f"CXXFLAGS=-O1 {STRICT} -D_GLIBCXX_ASSERTIONS"]
+    built = subprocess.run(
+        ["make", "-sj2", "-C", made, *flags], capture_output=True, text=True, check=False
+    )
+    assert built.returncode == 0, built.stderr
+    return {"echo": echo} | {name: made / name for name in ("nearest_view", "track_prior")}
 
 
 @pytest.fixture(scope="session")
@@ -227,7 +218,7 @@ def echo(programs: dict[str, Path]) -> Iterator[tuple[str, int]]:
 
 
 @settings(
-    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(
     before=st.dictionaries(TEXTS, NOISE, max_size=3),
@@ -322,7 +313,7 @@ def test_garbage_neither_harms_nor_blocks_a_core(
 def test_what_should_not_be_said_ends_a_program_with_a_complaint(
     programs: dict[str, Path], sent: bytes, complaint: str
 ) -> None:
-    with Peer(programs["nearest_view"]) as peer:
+    with Peer(programs["echo"]) as peer:
         code, complaints = peer.end(sent)
     assert complaint in complaints
     assert code == (2 if complaint else 0)
@@ -331,7 +322,7 @@ def test_what_should_not_be_said_ends_a_program_with_a_complaint(
 @pytest.mark.parametrize("address", ["nowhere.invalid:1", "127.0.0.1:99999", "x", ""])
 def test_an_address_that_is_none_is_told(programs: dict[str, Path], address: str) -> None:
     done = subprocess.run(
-        [programs["nearest_view"], "--listen", address],
+        [programs["echo"], "--listen", address],
         capture_output=True,
         check=False,
         timeout=20,
@@ -367,7 +358,7 @@ def test_nearest_view_is_the_same_in_c_and_python(
     chosen = {"min_likeness": 0.1}
     core = nearest_view(CoreContext(SMALL, views, chosen))
     n_ok = 0
-    with Peer(programs["optimised"]) as peer:
+    with Peer(programs["nearest_view"]) as peer:
         peer.ask(hello(chosen))
         peer.ask(setup(SMALL, views))
         for number, (one, mask) in enumerate(frames):
@@ -448,7 +439,7 @@ def test_track_prior_is_as_good_as_it_says(
     with Peer(programs["track_prior"]) as peer:
         peer.ask(hello())
         peer.ask(setup(LENS, [look(2.4), look(1.8)]))
-        for i in range(6):
+        for i in range(4):
             x_m, y_m = rng.normal(0, 0.08, 2)
             view = look(rng.uniform(1.7, 2.4), x_m=x_m, y_m=y_m, tilt=rng.normal(0, 0.03, 3))
             truth = view.trs_from_cam
@@ -488,7 +479,7 @@ def pose_said(said: dict[str, Any]) -> RigidTransform:
 def test_track_prior_goes_on_from_its_own_answer(
     programs: dict[str, Path], look: Callable[..., ReferenceView]
 ) -> None:
-    path = [look(2.0, x_m=0.06 * i, y_m=-0.03 * i) for i in range(5)]
+    path = [look(2.0, x_m=0.06 * i, y_m=-0.03 * i) for i in range(4)]
     blank = np.full(LENS.shape, 9, np.uint8)
     with Peer(programs["track_prior"]) as peer:
         peer.ask(hello({"rotation_sigma_deg": 0.05}))
@@ -497,7 +488,7 @@ def test_track_prior_goes_on_from_its_own_answer(
         for i, view in enumerate(path):
             said = tracked(peer, i, view, prior if i == 0 else None)
             error_m = view.trs_from_cam.translation - pose_said(said).translation
-            # The camera moves by 0.27 m; its range is that of the prior, as good as untouched.
+            # The camera moves by 0.2 m; its range is that of the prior, as good as untouched.
             assert np.hypot(*error_m[:2]) < 0.02
             assert abs(error_m[2]) < 0.06
         peer.send(RESET)

@@ -19,7 +19,7 @@ pytestmark = pytest.mark.opencv
 DETECTORS = pytest.mark.parametrize("detector", [AKAZE, BRISK], ids=lambda d: d.name)
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def image(scene, pose) -> np.ndarray:
     return np.rint(scene.see(pose(1.6))[0]).astype(np.uint8)
 

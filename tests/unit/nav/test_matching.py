@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+from dict_store import DictStore
 
 from tronlab.errors import ScoreError
 from tronlab.nav.database import Database, find_landmarks
@@ -11,7 +12,7 @@ from tronlab.nav.matching import Matches, hashing, open_matcher
 from tronlab.nav.matching.bits import choose_bits
 from tronlab.nav.matching.words import words_of
 from tronlab.nav.settings import DetectorSettings, MatchingSettings
-from tronlab.nav.stages import NOTHING_KEPT, Arrays
+from tronlab.nav.stages import NOTHING_KEPT
 
 METHODS = ("flann", "exact", "hashing")
 N_BYTES = 61
@@ -65,7 +66,7 @@ def test_exact_search_finds_what_opencv_and_the_definition_of_a_rival_say(n_byte
 
 def test_hashing_finds_as_many_as_its_keys_collide() -> None:
     """Bits that flip independently: a table's keys agree but for one bit with a known chance."""
-    share, n, n_bits, n_tables = 0.3, 4096, 12, 16
+    share, n, n_bits, n_tables = 0.3, 4096, 12, hashing.N_TABLES
     rng = np.random.default_rng(2)
     descriptors = random_bits(rng, n)
     queries = flipped(rng, descriptors[:1500], share)
@@ -93,16 +94,7 @@ def test_bits_are_even_and_independent() -> None:
 @pytest.mark.parametrize("method", METHODS)
 def test_no_features_a_wrong_kind_and_identical_landmarks(method: str) -> None:
     database = database_of(np.zeros((3000, N_BYTES), np.uint8))
-    assert (
-        len(
-            match(
-                method,
-                database,
-                Features(np.empty((0, 2)), np.empty(0), random_bits(np.random.default_rng(0), 0)),
-            )
-        )
-        == 0
-    )
+    assert len(match(method, database, features_of(np.empty((0, N_BYTES), np.uint8)))) == 0
     with pytest.raises(ScoreError, match="descriptors of 64 bytes, those of the database have 61"):
         match(method, database, features_of(np.zeros((2, 64), np.uint8)))
     matches = match(method, database, features_of(np.zeros((2, N_BYTES), np.uint8)))
@@ -120,19 +112,6 @@ def test_descriptors_of_a_mapped_file_are_not_copied(tmp_path) -> None:
         matches = match(method, database_of(mapped), features)
         np.testing.assert_array_equal(matches.landmark, 7 * matches.feature)
         assert len(matches) == len(features)
-
-
-class DictStore:
-    """Keeps everything."""
-
-    def __init__(self) -> None:
-        self.kept: dict[tuple[str, str], Arrays] = {}
-
-    def load(self, stage: str, key: str) -> Arrays | None:
-        return self.kept.get((stage, key))
-
-    def save(self, stage: str, key: str, arrays: Arrays) -> None:
-        self.kept[stage, key] = arrays
 
 
 def test_tables_of_a_large_database_are_kept(monkeypatch) -> None:

@@ -11,16 +11,16 @@ from pathlib import Path
 from types import ModuleType
 
 import numpy as np
-import pandas as pd
 import pytest
 from core_peer import Peer, frame, hello, pose_of, setup
 
 from tronlab.dataset.reader import Dataset
 from tronlab.errors import ScoreError
 from tronlab.nav.core import CoreContext, Frame, PosePrior, SequentialCore
+from tronlab.nav.cores import is_built_in
+from tronlab.nav.foreign import open_core
 from tronlab.nav.specs import parse_core
 from tronlab.score.rescore import score_dataset
-from tronlab.score.results import load_results
 from tronlab.score.sweep import load_sweep
 
 ROOT = Path(__file__).parents[3]
@@ -59,12 +59,18 @@ def test_the_page_prints_the_example() -> None:
 
 
 @pytest.mark.usefixtures("plug_in")
-def test_it_scores_a_dataset_under_the_name_it_declares(small_dataset: Path) -> None:
-    score_dataset(small_dataset, cores=["nearest-view"], workers=1)
-    table = pd.read_csv(small_dataset.parent / "scores.csv")
-    assert table["core"].tolist() == ["nearest-view"] * 5
-    assert table["status"].tolist() == ["ok"] * 5, load_results(small_dataset.parent).reasons
-    assert table["position_error_m"].max() < 3.0  # both views are within that of every shot
+def test_it_is_found_and_hosted_under_the_name_it_declares(small_dataset: Path) -> None:
+    spec = parse_core("nearest-view")
+    assert not is_built_in(spec)
+    with Dataset(small_dataset) as dataset:
+        references = dataset.references()
+        context = CoreContext(dataset.camera, references)
+    with open_core(spec, context, limit_s=60.0) as core:
+        for view in references:
+            result = core.locate(Frame(view.image, view.mask))
+            assert result.trs_from_cam is not None, result.reason
+            expected = view.trs_from_cam.as_matrix()
+            np.testing.assert_allclose(result.trs_from_cam.as_matrix(), expected, atol=1e-12)
 
 
 @pytest.mark.usefixtures("plug_in")

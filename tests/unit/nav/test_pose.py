@@ -42,7 +42,7 @@ def test_least_squares_from_a_wrong_start_finds_an_exact_pose(rng: np.random.Gen
 
 def test_uncertain_positions_count_less(rng: np.random.Generator) -> None:
     weighted, equal = [], []
-    for _ in range(25):
+    for _ in range(12):
         exact = make_matches(rng, 60)
         scale = np.where(np.arange(60) < 30, 1.0, 5.0)
         uv = exact.uv + rng.normal(0, 0.2, (60, 2)) * scale[:, None]

@@ -10,14 +10,13 @@ from tronlab.geometry.uncertainty import pose_difference
 from tronlab.nav.pose import (
     Correspondences,
     cramer_rao_bound,
-    noise_px,
     refine_pose,
     solve_epnp,
     solve_sqpnp,
 )
 from tronlab.nav.pose.refinement import TUKEY_EFFICIENCY
 
-N_TRIALS = 120
+N_TRIALS = 60
 SIGMA_PX = 0.5
 
 
@@ -82,14 +81,6 @@ def test_sqpnp_and_least_squares_reach_the_bound_and_epnp_does_not() -> None:
     assert 0.95 * low < mean["as it says"] < 1.1 * high
     assert mean["epnp"] > 1.3 * high
     assert np.mean(noises) == pytest.approx(SIGMA_PX, rel=0.03)
-
-
-def test_noise_is_estimated_with_few_matches() -> None:
-    noises: list[float] = []
-    for seed in range(60):
-        matches = make_matches(np.random.default_rng(seed), 20, sigma_px=SIGMA_PX)
-        noises.append(noise_px(solve_sqpnp(matches), matches, CAMERA))
-    assert np.mean(noises) == pytest.approx(SIGMA_PX, rel=0.08)
 
 
 def weighed_error(pose: RigidTransform, covariance: np.ndarray) -> float:

@@ -89,6 +89,7 @@ def test_one_point_with_one_descriptor_stays_once_and_the_best_does() -> None:
     same[1, 0] = 0b111  # 3 of 488 bits
     same[2, :8] = 255  # 64 bits
     places = np.zeros((6, 3))
+    places[:2, 2] = 0.003, -0.001
     places[3, 0] = 1.1 * SAME_POINT_SIZES * 0.1
     sizes = np.full(6, 0.1)
     sizes[4] = 0.1 * 1.1 * SAME_SIZE
@@ -99,6 +100,9 @@ def test_one_point_with_one_descriptor_stays_once_and_the_best_does() -> None:
     selection = select(database, counts, PruningRules(max_differing_pct=1.0))
     assert selection.chosen.tolist() == [1, 2, 3, 4]
     assert selection.n_merged == 2
+    weights = np.array([1.0, 1.0, 1.1**2]) / (2 + 1.1**2)
+    np.testing.assert_allclose(selection.p_trs_m[0], weights @ places[[0, 1, 5]], atol=1e-15)
+    np.testing.assert_array_equal(selection.p_trs_m[1:], places[2:5])
     assert select(database, counts, PruningRules(max_differing_pct=0.0)).chosen.tolist() == [
         1, 2, 3, 4, 5,
     ]  # fmt: skip

@@ -27,7 +27,7 @@ def axes_of(draw, scores):
 
 
 def legend(axes):
-    return [text.get_text() for text in axes.get_legend().get_texts()]
+    return [text.get_text() for text in axes.figure.legends[0].get_texts()]
 
 
 def drawn(axes, i):
@@ -37,7 +37,7 @@ def drawn(axes, i):
 def test_cores_have_the_same_colours_in_both_plots(scores):
     expected = [style.colour for style in core_styles(list(scores["core"].unique())).values()]
     for draw in (error_against_range, error_distribution):
-        lines = axes_of(draw, scores).get_legend().get_lines()
+        lines = axes_of(draw, scores).figure.legends[0].get_lines()
         assert [to_hex(line.get_color()) for line in lines] == expected
 
 
@@ -114,7 +114,7 @@ def test_one_shot_and_equal_errors(scores_of, draw, error_pct):
     axes = axes_of(draw, scores)
     low, high = axes.get_ylim() if on_axis else axes.get_xlim()
     assert 0.0 < low < max(error_pct, SMALLEST_ERROR_PCT_LOS) < high
-    assert len(axes.get_legend().get_texts()) == 2
+    assert len(axes.figure.legends[0].get_texts()) == 2
 
 
 @BOTH

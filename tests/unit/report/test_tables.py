@@ -33,7 +33,7 @@ def test_bounds_of_the_paper_hold_only_for_all_shots(scores_of, lose, scale_pct,
 
 
 def test_worst_shots_begin_with_those_without_a_pose(scores):
-    reasons = {("brisk", 0): "too few matches"}
+    reasons = {("brisk", 0, 0): "too few matches"}
     rows = [r for r in worst_shots_table(scores, reasons).rows if r[0] == "brisk"]
     assert [(r[1], r[3], r[-1]) for r in rows[:2]] == [
         (0, "no_pose", "too few matches"),

@@ -1,4 +1,4 @@
-"""Fake cores that worker processes can import as well."""
+"""Fake cores that worker processes can import as well, and a dataset that real ones solve."""
 
 import importlib
 from collections.abc import Callable
@@ -6,6 +6,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from plane_dataset import write_plane_dataset
 
 from tronlab.nav.specs import CoreSpec
 from tronlab.score.rescoring import job as job_module
@@ -31,3 +32,11 @@ def make_job(fakes: ModuleType, small_dataset: Path) -> Callable[..., ScoreJob]:
         return ScoreJob(small_dataset, tuple(specs), **given)  # pyright: ignore[reportArgumentType]
 
     return make
+
+
+@pytest.fixture(scope="session")
+def plane_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """12 shots over a flat, textured terrain; not to be written to."""
+    path = tmp_path_factory.mktemp("plane") / "dataset.h5"
+    write_plane_dataset(path)
+    return path

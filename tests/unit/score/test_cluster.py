@@ -10,10 +10,16 @@ from pathlib import Path
 from types import ModuleType
 
 import dask
+import numpy as np
 import pytest
 from distributed import LocalCluster
+from scipy.spatial.transform import RigidTransform
 
 from tronlab.errors import ScoreError
+from tronlab.nav.database import Landmarks
+from tronlab.nav.database_file import Source, open_database
+from tronlab.nav.database_writer import new_database
+from tronlab.nav.settings import DetectorSettings
 from tronlab.nav.specs import CoreSpec
 from tronlab.score.rescoring import cluster as cluster_module
 from tronlab.score.rescoring.cluster import DaskExecutor
@@ -192,6 +198,20 @@ def test_a_worker_that_sees_another_dataset_is_named(
     expected = r"worker tcp://.*dataset\.h5: is another dataset there; .*the same path"
     with pytest.raises(ScoreError, match=expected):
         answers(DaskExecutor(cluster.scheduler_address), units(small_dataset, cores.GreyCore))
+
+
+def test_a_worker_that_sees_other_landmarks_says_which(tmp_path: Path) -> None:
+    path = tmp_path / "landmarks.h5"
+    missing = cluster_module.look_around({}, {path: "digest"}).problems
+    assert [text.partition(": no such file")[0] for text in missing] == [str(path)]
+    with new_database(path, DetectorSettings()) as writer:
+        writer.sources.append(Source(kind="dataset", name="a.h5", identity="id", camera={}))
+        rows = np.ones((60, 3)), np.ones(60), np.ones((60, 61), np.uint8)
+        writer.add(RigidTransform.identity(), Landmarks(*rows), source=0)
+    digest = open_database(path).digest
+    assert cluster_module.look_around({}, {path: digest}).problems == ()
+    (problem,) = cluster_module.look_around({}, {path: "digest"}).problems
+    assert problem == f"{path}: is another database there"
 
 
 @pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "scheduler", "tcp://no port:x"])

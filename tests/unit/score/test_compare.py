@@ -19,7 +19,7 @@ from tronlab.score.evaluation.compare import (
     parse_tolerance,
     regressions,
 )
-from tronlab.score.evaluation.pairing import Run, RunPair, pair_runs
+from tronlab.score.evaluation.pairing import Run, RunPair, left_out, pair_runs
 from tronlab.score.results import ScoreResults
 
 ERROR = "position_error_pct_los"
@@ -38,6 +38,7 @@ def rows_of(errors, *, core="akaze", seed=0, first_id=0):
             "range_los_m": np.linspace(4.0, 1.0, n),
             "usable_fraction": 0.8,
             "sigma_truth_m": 1e-4,
+            "truth_crc": 7,
             ERROR: errors,
             "time_pose_s": 0.01,
         }
@@ -210,6 +211,13 @@ def test_what_is_compared_with_what():
     assert names(pair_runs([alone, only], ["akaze", "brisk"])) == [
         ("only", "akaze", "alone", "brisk")
     ]
+    assert left_out([before, after], pair_runs([before, after])) == []
+    lost = pair_runs([before, only, alone])
+    assert left_out([before, only, alone], lost) == []
+    assert left_out([before, only], lost[:1]) == ["brisk of before"]
+    assert left_out([before, only], lost[:1], ["akaze"]) == []
+    with pytest.raises(ScoreError, match="nothing to compare"):
+        pair_runs([before], ["akaze", "akaze"])
     with pytest.raises(ScoreError, match="no scores of mine; there are: akaze, brisk"):
         pair_runs([before, after], ["mine"])
     for folders in ([alone], [alone, only]):
@@ -225,5 +233,11 @@ def test_other_shots_or_another_truth_are_refused():
     other.loc[1, "range_los_m"] += 1e-7
     with pytest.raises(ScoreError, match=r"the truth differs: range_los_m of shot 1 is 2\.5 and"):
         pair_runs([ours, results_of("b", other)])
-    old = rows_of([1.0, 2.0, 3.0]).assign(sigma_truth_m=np.nan)
+    turned = rows_of([1.0, 2.0, 3.0])
+    turned.loc[2, "truth_crc"] = 8
+    with pytest.raises(
+        ScoreError, match="the truth differs: shot 2 has another pose; the datasets"
+    ):
+        pair_runs([ours, results_of("b", turned)])
+    old = rows_of([1.0, 2.0, 3.0]).assign(sigma_truth_m=np.nan, truth_crc=0)
     assert pair_runs([ours, results_of("b", old)])

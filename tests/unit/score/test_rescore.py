@@ -15,6 +15,7 @@ import h5py
 import numpy as np
 import pandas as pd
 import pytest
+from plane_dataset import N_SHOTS
 
 from tronlab.dataset import schema
 from tronlab.dataset.records import DriftRecord, Provenance, ReferenceView, ShotRecord
@@ -25,8 +26,6 @@ from tronlab.score.rescore import campaign_cores, score_dataset
 from tronlab.score.rescoring.cache import AnswerCache
 from tronlab.score.results import load_results
 from tronlab.score.table import COLUMNS
-
-pytestmark = pytest.mark.opencv
 
 
 @pytest.fixture
@@ -76,10 +75,10 @@ def test_summary_counts_all_and_knows_the_reasons(scored: Path) -> None:
     assert list(summary) == ["shift"]
     assert (summary["shift"]["n_shots"], summary["shift"]["n_ok"]) == (5, 1)
     results = load_results(scored)
-    assert results.reasons["shift", 1] == "LinAlgError: Singular matrix"
-    assert results.reasons["shift", 2] == "too dark"
-    assert "without a pose" in results.reasons["shift", 3]
-    assert "NoneType" in results.reasons["shift", 4]
+    assert results.reasons["shift", 0, 1] == "LinAlgError: Singular matrix"
+    assert results.reasons["shift", 0, 2] == "too dark"
+    assert "without a pose" in results.reasons["shift", 0, 3]
+    assert "NoneType" in results.reasons["shift", 0, 4]
     np.testing.assert_array_equal(results.uv_inliers("shift", 0), [[1, 2], [3, 4]])
     assert results.uv_inliers("shift", 1).shape == (0, 2)
     assert results.dataset_path == (scored / "dataset.h5").resolve()
@@ -118,7 +117,7 @@ def test_cores_that_are_not_scored_anew_stay(scored: Path) -> None:
     results = load_results(scored)
     assert results.cores == tuple(results.summary) == ("shift", "too-dark")
     assert results.summary["shift"] == first.summary["shift"]
-    assert results.reasons["shift", 1] == "LinAlgError: Singular matrix"
+    assert results.reasons["shift", 0, 1] == "LinAlgError: Singular matrix"
     np.testing.assert_array_equal(results.uv_inliers("shift", 0), [[1, 2], [3, 4]])
     assert results.kept == {"shift": {"scored_utc": first.scored_utc, "software": first.software}}
     with h5py.File(scored / "matches.h5") as file:
@@ -236,48 +235,37 @@ def test_cores_of_the_campaign_are_the_default() -> None:
         assert campaign_cores(text) == BUILT_IN_CORES
 
 
-@pytest.fixture(scope="module")
-def textured_dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Six shots over a random texture on a plane, with the reference views to solve them."""
-    script = Path(__file__).with_name("make_textured_dataset.py")
-    path = tmp_path_factory.mktemp("textured") / "dataset.h5"
-    subprocess.run([sys.executable, str(script), str(path)], check=True, timeout=120)
-    return path
+@pytest.mark.opencv
+def test_workers_and_caches_do_not_change_a_number(plane_dataset: Path, tmp_path: Path) -> None:
+    def scored(name: str, n_workers: int, cache_dir: Path | None) -> pd.DataFrame:
+        return score_dataset(
+            plane_dataset,
+            cores=["akaze-refined", "akaze"],
+            out_dir=tmp_path / name,
+            workers=n_workers,
+            cache_dir=cache_dir,
+            progress=lambda *counts: progress.append(counts),
+        )
 
-
-def test_workers_and_caches_do_not_change_a_number(textured_dataset: Path, tmp_path: Path) -> None:
-    names, cache_dir = ["akaze-refined", "akaze"], tmp_path / "cache"
     progress: list[tuple[int, int]] = []
-    one = score_dataset(textured_dataset, cores=names, out_dir=tmp_path / "1", workers=1)
-    two = score_dataset(
-        textured_dataset,
-        cores=names,
-        out_dir=tmp_path / "2",
-        workers=2,
-        cache_dir=cache_dir,
-        progress=lambda done, n: progress.append((done, n)),
-    )
-    assert progress == [(k, 12) for k in range(13)]
-    assert two["core"].tolist() == ["akaze-refined"] * 6 + ["akaze"] * 6
-    assert two["shot_id"].tolist() == [*range(6)] * 2
+    cache_dir = tmp_path / "cache"
+    two = scored("two", 2, cache_dir)
+    assert progress == [(k, 2 * N_SHOTS) for k in range(2 * N_SHOTS + 1)]
+    assert two["core"].tolist() == ["akaze-refined"] * N_SHOTS + ["akaze"] * N_SHOTS
+    assert two["shot_id"].tolist() == [*range(N_SHOTS)] * 2
+    refined = two[:N_SHOTS]
+    assert (refined["status"] == "ok").all()
+    assert refined["position_error_pct_los"].max() < 1.0
+
+    one = scored("one", 1, None)
     timeless = [name for name in COLUMNS if not name.startswith("time_")]
     pd.testing.assert_frame_equal(one[timeless], two[timeless], check_exact=True)
-    assert (two.loc[:5, "status"] == "ok").all()
-    assert two.loc[:5, "position_error_pct_los"].max() < 1.0
-
     (answers,) = cache_dir.glob("answers-*.sqlite")
     answers.unlink()
-    stages = score_dataset(
-        textured_dataset, cores=names, out_dir=tmp_path / "3", workers=1, cache_dir=cache_dir
-    )
-    pd.testing.assert_frame_equal(stages[timeless], two[timeless], check_exact=True)
+    stages = scored("stages", 1, cache_dir)
     # Features came from the store, with the time it took when they were found.
-    found = ["time_detect_s"]
+    found = [*timeless, "time_detect_s"]
     pd.testing.assert_frame_equal(stages[found], two[found], check_exact=True)
-    kept = score_dataset(
-        textured_dataset, cores=names, out_dir=tmp_path / "4", workers=1, cache_dir=cache_dir
-    )
-    pd.testing.assert_frame_equal(kept, stages, check_exact=True)
 
 
 def is_gone(group: int, *, within_s: float) -> bool:

@@ -51,7 +51,7 @@ def test_inliers_of_a_core_that_stays_are_copied(tmp_path: Path) -> None:
     results = load_results(tmp_path)
     assert results.cores == ("a", "b")
     np.testing.assert_array_equal(results.uv_inliers("a", 1), np.full((2, 2), 3.5))
-    assert results.reasons["a", 1] == "dim"
+    assert results.reasons["a", 0, 1] == "dim"
 
 
 def drop_column(folder: Path, name: str) -> None:

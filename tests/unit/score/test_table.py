@@ -12,12 +12,18 @@ from scipy.spatial.transform import RigidTransform, Rotation
 from tronlab.dataset.reader import Dataset
 from tronlab.dataset.records import Truth
 from tronlab.nav.core import NavigationResult
-from tronlab.score.evaluation.consistency import efficiency, nees_consistency, truth_limit
+from tronlab.score.evaluation.consistency import (
+    efficiency,
+    nees_consistency,
+    nees_quantiles,
+    truth_limit,
+)
 from tronlab.score.light import lamp_position, phase_angle_rad
 from tronlab.score.table import (
     COLUMNS,
     DEFAULTS,
     ShotFacts,
+    pose_crc,
     score_row,
     score_table,
     shot_facts,
@@ -141,6 +147,22 @@ def test_each_shot_has_the_lamp_of_its_session(small_dataset, monkeypatch):
         facts = shot_facts(dataset, 2)
         assert (facts.shot_id, facts.truth_state) == (2, dataset.truth_states[2])
         assert facts.phase_rad == phase_angle_rad(truth, np.array([4.0, 0.0, 3.0]))
+
+
+@pytest.mark.parametrize("n_shots", [1, 61])
+def test_the_mean_nees_of_honest_poses_is_chi_square(n_shots):
+    shares = np.array([0.025, 0.5, 0.975])
+    expected = stats.chi2.ppf(shares, 3 * n_shots) / n_shots
+    np.testing.assert_allclose(nees_quantiles(shares, n_shots), expected)
+
+
+def test_a_pose_is_known_by_its_checksum_but_for_its_last_digits():
+    pose = TRUTH.trs_from_cam
+    crc = pose_crc(pose)
+    assert crc == pose_crc(pose * RigidTransform.from_translation([0.0, 0.0, 1e-13]))
+    assert crc != pose_crc(pose * RigidTransform.from_translation([0.0, 0.0, 1e-8]))
+    about_the_axis = RigidTransform.from_rotation(Rotation.from_euler("z", 1e-6))
+    assert crc != pose_crc(pose * about_the_axis)
 
 
 def test_a_table_of_an_earlier_version_gets_what_it_lacks():

@@ -23,8 +23,6 @@ from tronlab.score.rescoring.unit import Unit, UnitDone, score_unit
 from tronlab.score.rescoring.workers import ProcessExecutor
 from tronlab.score.results import load_results
 
-pytestmark = pytest.mark.opencv
-
 MakeJob = Callable[..., ScoreJob]
 PREVIOUS = PriorSettings(source="previous", position_sigma_m=0.1, rotation_sigma_deg=1.0)
 
@@ -228,7 +226,21 @@ def test_a_damaged_image_costs_one_shot_only(make_job: MakeJob) -> None:
         file["entry/data/image"][2, 0, 0] ^= 1
     _, (table,) = computed(job)
     assert table["status"].tolist() == ["ok", "ok", "error", "ok", "ok"]
-    assert "damaged" in load_results(job.out_dir).reasons["good", 2]
+    assert "damaged" in load_results(job.out_dir).reasons["good", 0, 2]
+
+
+def test_a_dataset_without_images_is_an_error_unless_its_answers_are_kept(
+    make_job: MakeJob, segmented_dataset: Path, tmp_path: Path
+) -> None:
+    job = replace(make_job("good"), dataset_path=segmented_dataset, out_dir=tmp_path / "out")
+    kept = replace(job, cache_dir=tmp_path / "cache")
+    _, (before,) = computed(kept)
+    shutil.rmtree(segmented_dataset.with_suffix(".images"))
+    n, (again,) = computed(kept)
+    assert n == 0
+    pd.testing.assert_frame_equal(before, again, check_exact=True)
+    with pytest.raises(ScoreError, match=r"none of its 5 images can be read: .*dataset\.images"):
+        computed(job)
 
 
 def test_a_dataset_that_became_another_is_opened_anew(make_job: MakeJob) -> None:

@@ -18,8 +18,6 @@ from tronlab.score.rescoring.unit import Asked, Unit, failed_unit, rest_of, scor
 from tronlab.score.rescoring.workers import ProcessExecutor
 from tronlab.score.results import load_results
 
-pytestmark = pytest.mark.opencv
-
 MakeJob = Callable[..., ScoreJob]
 
 
@@ -39,15 +37,15 @@ def test_a_core_that_crashes_or_hangs_costs_its_own_answers_only(
         same = found[str(core)].reset_index(drop=True)
         pd.testing.assert_frame_equal(same, rows.reset_index(drop=True), check_exact=True)
     reasons = load_results(job.out_dir).reasons
-    assert reasons["crashes", 3] == "the process that ran it was ended by SIGSEGV"
-    assert reasons["deaf", 1] == "no answer within 1.5 s, and its process had to be ended"
+    assert reasons["crashes", 0, 3] == "the process that ran it was ended by SIGSEGV"
+    assert reasons["deaf", 0, 1] == "no answer within 1.5 s, and its process had to be ended"
 
 
 def test_workers_that_die_one_after_the_other_end_the_scoring(
     make_job: MakeJob, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(workers_module, "MOST_DEATHS", 2)
-    units = Scoring(make_job("dies"), 0, announce=print).units()
+    units = Scoring(make_job("dies"), 0, announce=print).units()[:1]
     with pytest.raises(ScoreError, match=r"2 worker processes died one after .* exit code 9: out"):
         list(ProcessExecutor(2).run(units))
     assert not multiprocessing.active_children()
@@ -69,16 +67,6 @@ def test_what_is_left_after_a_crash_begins_with_what_was_known(make_job: MakeJob
     assert first.trs_from_cam.translation[0] == pytest.approx(2.0)
     assert first.covariance[5, 5] == pytest.approx(3 * 0.1**2)
     assert rest_of(others, Asked(0, 4), ()) == ()
-
-
-def test_closing_ends_the_workers_at_once(make_job: MakeJob) -> None:
-    # It answers for "good", and does not come back from "deaf".
-    unit = Scoring(make_job("good", "deaf"), 0, announce=print).units()[1]
-    working = ProcessExecutor(2).run([unit])
-    next(working)
-    assert multiprocessing.active_children()
-    working.close()
-    assert not multiprocessing.active_children()
 
 
 def test_a_unit_gives_an_answer_for_each_core_and_shot(

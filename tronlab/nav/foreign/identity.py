@@ -1,10 +1,12 @@
 """What a core's answers depend on, as a text that changes when it does."""
 
 import hashlib
+import os
 import shutil
 import sys
 import sysconfig
 from collections.abc import Iterable, Sequence
+from os.path import isfile
 from pathlib import Path
 
 _SOURCES = {".py", ".so", ".pyd"}
@@ -20,7 +22,7 @@ def digest_of_command(arguments: Sequence[str]) -> str:
     program = shutil.which(arguments[0])
     named = [text.partition("=")[2] or text for text in arguments[1:]]
     paths = [Path(text) for text in (*([program] if program else []), *arguments[1:], *named)]
-    return _digest(arguments, (path for path in paths if _is_file(path)))
+    return _digest(arguments, (path for path in paths if _is_readable(path)))
 
 
 def digest_of_sources(*module_names: str) -> str:
@@ -40,7 +42,7 @@ def digest_of_sources(*module_names: str) -> str:
             is_own = name.partition(".")[0] in {*tops, _OWN_PACKAGE}
             if is_own or not any(folder in path.parents for folder in installed):
                 paths.add(path)
-    sources = (path for path in sorted(paths) if path.suffix in _SOURCES and _is_file(path))
+    sources = (path for path in sorted(paths) if path.suffix in _SOURCES and _is_readable(path))
     return _digest(module_names, sources)
 
 
@@ -49,11 +51,9 @@ def _installed_folders() -> tuple[str, ...]:
     return paths["stdlib"], paths["platstdlib"], paths["purelib"], paths["platlib"]
 
 
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except (OSError, ValueError):  # an argument that is too long for a path, or has a zero in it
-        return False
+def _is_readable(path: Path) -> bool:
+    # Not Path.is_file: an argument may be too long for a path, or have a zero in it.
+    return isfile(path) and os.access(path, os.R_OK)
 
 
 def _digest(words: Iterable[str], paths: Iterable[Path]) -> str:

@@ -60,8 +60,8 @@ def greet(spec: CoreSpec, *, limit_s: float) -> Link:
     Raises:
         StartError: It cannot be started or reached, or does not greet.
     """
-    deadline = monotonic() + limit_s
     transport = _start(spec, limit_s)
+    deadline = monotonic() + limit_s  # from here: how long we take to start it is not its fault
     with _killed_on_failure(transport, limit_s):
         greeting = say_hello(transport.channel, spec.settings, spec.seed, deadline)
     return Link(transport, greeting)

@@ -1,5 +1,6 @@
 """A core that is a program: started, listened to, killed with everything it started."""
 
+import errno
 import os
 import signal
 import subprocess
@@ -8,7 +9,7 @@ import weakref
 from collections import deque
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from pathlib import Path
+from os.path import isdir, isfile  # unlike those of pathlib, never an error
 from time import monotonic, sleep
 from typing import IO
 
@@ -62,9 +63,10 @@ class CoreProcess:
             )
         except (OSError, ValueError) as error:
             reason = error.strerror if isinstance(error, OSError) else str(error)
-            is_beside = "/" not in arguments[0] and Path(arguments[0]).is_file()
-            hint = f"; write ./{arguments[0]}" if is_beside else ""
-            raise StartError(f"cannot be started: {arguments[0]!r}: {reason}{hint}") from error
+            hint = _hint(error, arguments)
+            raise StartError(
+                f"cannot be started: {arguments[0]!r}: {reason}{hint and f'; {hint}'}"
+            ) from error
         self._words = _LastWords(_pipe(self._process.stderr))
         watch = _start_watch(self._process)
         self._end = weakref.finalize(self, _end, self._process, watch, self._words)
@@ -139,6 +141,28 @@ class _LastWords:
 def _readable(line: bytes) -> str:
     text = line[:_LONGEST_LINE].decode("utf-8", errors="replace").strip()
     return "".join(letter if letter.isprintable() else " " for letter in text)
+
+
+def _hint(error: OSError | ValueError, arguments: Sequence[str]) -> str:
+    """Say what to do about a program that the system does not start, or nothing."""
+    program = arguments[0]
+    code = error.errno if isinstance(error, OSError) else None
+    is_there = isfile(program)
+    beginnings = (" ".join(arguments[:n]) for n in range(2, len(arguments) + 1))
+    spaced = next((path for path in beginnings if isfile(path)), "")
+    hints = (
+        (isdir(program), "it is a folder"),
+        (program.startswith("~"), "no shell reads this: write the whole path"),
+        (code == errno.EACCES and is_there, f"chmod +x {program}, or name what runs it before it"),
+        (
+            code == errno.ENOEXEC,
+            "it is no program for this machine, nor a script that begins with #!",
+        ),
+        (is_there and "/" not in program, f"write ./{program}"),
+        (code == errno.ENOENT and is_there, "it is there, but not what its first line names"),
+        (spaced != "", f"put the name in quotes: cmd:'{spaced}'"),
+    )
+    return next((hint for holds, hint in hints if holds), "")
 
 
 def _start_watch(process: "subprocess.Popen[bytes]") -> "subprocess.Popen[bytes]":

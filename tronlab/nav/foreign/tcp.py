@@ -22,9 +22,11 @@ class CoreSocket:
         host, _, port = address.rpartition(":")
         try:
             connection = socket.create_connection((host.strip("[]"), int(port)), timeout=limit_s)
-        except OSError as error:  # refused, unknown, not reachable, timed out
-            reason = f"within {limit_s:g} s" if isinstance(error, TimeoutError) else error.strerror
-            raise UnreachableError(f"cannot be reached at tcp://{address}: {reason}") from error
+        # Refused, unknown, not reachable, timed out; no name that a computer can have.
+        except (OSError, UnicodeError) as error:
+            raise UnreachableError(
+                f"cannot be reached at tcp://{address}: {_reason(error, limit_s)}"
+            ) from error
         tune(connection)
         self._end = weakref.finalize(self, connection.close)
         self._channel = Channel(
@@ -51,6 +53,12 @@ class CoreSocket:
     def kill(self) -> None:
         """Close the connection; more cannot be done from here."""
         self._end()
+
+
+def _reason(error: OSError | UnicodeError, limit_s: float) -> str:
+    if isinstance(error, TimeoutError):
+        return f"no answer within {limit_s:g} s"
+    return str(error if isinstance(error, UnicodeError) else error.strerror)
 
 
 def tune(connection: socket.socket) -> None:

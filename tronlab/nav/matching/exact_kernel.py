@@ -4,8 +4,8 @@
 
 import numpy as np
 
-from tronlab.nav.matching.compiling import inlined, kernel
 from tronlab.nav.matching.hamming_kernel import are_apart, n_different
+from tronlab.terrain.kernels import inlined, kernel
 
 _BLOCK = 256
 """So many landmarks stay in the nearest cache while several features are compared with them."""

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tronlab.nav.matching.compiling import inlined, kernel
 from tronlab.nav.matching.hamming_kernel import are_apart, n_different
+from tronlab.terrain.kernels import inlined, kernel
 
 
 class Prediction(NamedTuple):

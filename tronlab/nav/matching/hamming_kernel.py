@@ -7,8 +7,8 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from tronlab.nav.matching.compiling import inlined
 from tronlab.nav.matching.matches import SAME_POINT_SIZES
+from tronlab.terrain.kernels import inlined
 
 _USUAL_BYTES = (61, 64)
 """Of AKAZE and BRISK: their words are counted without a loop, in half the time."""

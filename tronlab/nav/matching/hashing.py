@@ -17,10 +17,10 @@ from tronlab.nav.matching.words import check_fit, places_of, read_only, words_of
 from tronlab.nav.sources import digest_of_stage
 from tronlab.nav.stages import StageStore, stage_key
 
-N_TABLES = 16
+N_TABLES = 24
 MIN_BITS, MAX_BITS = 6, 22
 MIN_KEPT = 200_000
-"""Tables of a smaller database are made as fast as they are read. 140 bytes a landmark."""
+"""Tables of a smaller database are made as fast as they are read. 200 bytes a landmark."""
 _SEED = 20_160_417
 
 

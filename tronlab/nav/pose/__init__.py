@@ -8,7 +8,7 @@ matches carry a pose at all.
 from tronlab.nav.pose.bound import cramer_rao_bound
 from tronlab.nav.pose.carrying import check_agreement, check_view
 from tronlab.nav.pose.correspondences import MIN_POINTS, Correspondences, NoPoseError
-from tronlab.nav.pose.projection import jacobian_px, noise_px, residuals_px
+from tronlab.nav.pose.projection import jacobian_px, residuals_px
 from tronlab.nav.pose.refinement import PoseEstimate, refine_pose
 from tronlab.nav.pose.robust import find_agreeing, solve_poselib, solve_ransac, solve_usac
 from tronlab.nav.pose.solvers import solve_epnp, solve_sqpnp
@@ -23,7 +23,6 @@ __all__ = [
     "cramer_rao_bound",
     "find_agreeing",
     "jacobian_px",
-    "noise_px",
     "refine_pose",
     "residuals_px",
     "solve_epnp",

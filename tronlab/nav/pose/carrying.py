@@ -8,6 +8,7 @@ from scipy.special import bdtrc
 
 from tronlab.geometry.camera import CameraModel
 from tronlab.geometry.poses import FloatArray
+from tronlab.nav.pose.ambiguity import other_pose
 from tronlab.nav.pose.bound import cramer_rao_bound
 from tronlab.nav.pose.correspondences import MIN_POINTS, Correspondences, NoPoseError, need
 from tronlab.nav.pose.projection import points_in_cam
@@ -16,6 +17,8 @@ MAX_FALSE_ALARMS = 1e-4
 """Poses that as many wrong matches would agree with, expected in one image."""
 MAX_DISTANCE_EXTENTS = 100.0
 """Largest distance to the points, in sizes of the area they cover: they fill a few pixels then."""
+MIN_CHI_SQUARE = 2.0 * float(np.log(1e4))
+"""By so much the other pose of a plane must fit worse: it is 10 000 times less likely then."""
 
 _SAMPLE = 3
 _POSES_OF_SAMPLE = 4
@@ -86,8 +89,9 @@ def check_view(
         The Cramer-Rao bound at the pose, shape (6, 6), rad and m.
 
     Raises:
-        NoPoseError: Too few matches, points behind the camera or very far, or the position is
-            less certain than allowed; the text says what the matches look like.
+        NoPoseError: Too few matches, points behind the camera or very far, the position is less
+            certain than allowed, or another one fits as well; the text says what the matches look
+            like.
     """
     need(len(matches), MIN_POINTS, "agreeing matches")
     p_cam = points_in_cam(trs_from_cam, matches)
@@ -103,6 +107,7 @@ def check_view(
         bound = cramer_rao_bound(trs_from_cam, matches, camera, sigma_px=sigma_px)
     except NoPoseError as error:
         raise NoPoseError(f"{error}; {_look(matches, camera)}") from error
+    _check_is_only_one(trs_from_cam, matches, camera, sigma_px, max_sigma_pct / 100 * distance_m)
     sigma_pct = 100.0 * float(np.sqrt(np.trace(bound[3:, 3:]))) / distance_m
     if sigma_pct > max_sigma_pct:
         raise NoPoseError(
@@ -110,6 +115,26 @@ def check_view(
             f" {max_sigma_pct:g} %: {_look(matches, camera)}, noise {sigma_px:.2g} px"
         )
     return bound
+
+
+def _check_is_only_one(
+    trs_from_cam: RigidTransform,
+    matches: Correspondences,
+    camera: CameraModel,
+    sigma_px: float,
+    max_sigma_m: float,
+) -> None:
+    """Refuse a pose if one elsewhere fits nearly as well: points near a plane, seen small."""
+    limit_px2 = MIN_CHI_SQUARE * sigma_px**2
+    other = other_pose(trs_from_cam, matches, camera, max_excess_px2=limit_px2)
+    if other is None:
+        return
+    apart_m = float(np.linalg.norm(other.translation - trs_from_cam.translation))
+    if apart_m > max_sigma_m:
+        raise NoPoseError(
+            f"a pose {apart_m:.3g} m away fits nearly as well, the points tilted the other way:"
+            f" {_look(matches, camera)}, noise {sigma_px:.2g} px"
+        )
 
 
 def _agreement(

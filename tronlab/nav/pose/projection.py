@@ -5,7 +5,7 @@ from scipy.spatial.transform import RigidTransform
 
 from tronlab.geometry.camera import CameraModel, distortion_jacobian
 from tronlab.geometry.poses import FloatArray
-from tronlab.nav.pose.correspondences import MIN_POINTS, Correspondences, need
+from tronlab.nav.pose.correspondences import Correspondences
 
 RAYLEIGH_MEDIAN = 1.1774100225154747
 """Median length of a vector of two standard normal coordinates."""
@@ -57,23 +57,3 @@ def jacobian_of_arms_px(arm_m: FloatArray, rotation: FloatArray, camera: CameraM
 def points_in_cam(trs_from_cam: RigidTransform, matches: Correspondences) -> FloatArray:
     """Give the matched points in cam, shape (n, 3), metres."""
     return (matches.p_trs_m - trs_from_cam.translation) @ trs_from_cam.rotation.as_matrix()
-
-
-def noise_px(trs_from_cam: RigidTransform, matches: Correspondences, camera: CameraModel) -> float:
-    """Estimate the standard deviation of one coordinate of the most certain positions, pixels.
-
-    From the median residual, so that some wrong matches do no harm.
-
-    Args:
-        trs_from_cam: Adjusted to the matches.
-        matches: The ones that agree.
-        camera: Intrinsics.
-
-    Raises:
-        NoPoseError: Too few matches.
-    """
-    need(len(matches), MIN_POINTS, "agreeing matches")
-    residuals = residuals_px(trs_from_cam, matches, camera) / matches.scale[:, None]
-    freedom = 1.0 - _N_PARAMETERS / (2 * len(matches))
-    median = float(np.median(np.linalg.norm(residuals, axis=1)))
-    return max(median / RAYLEIGH_MEDIAN / freedom**0.5, MIN_SIGMA_PX)

@@ -28,9 +28,13 @@ _MAX_ITERATIONS = 50
 _SCALE_ITERATIONS = 25
 """In so many the scale is estimated anew; with one that stays every later step is downhill, where
 matches at the edge of having weight could come and go for ever."""
-_CONVERGED = 1e-9
+_CONVERGED = 1e-7
 _CONVERGED_ENOUGH = 1e-6
 """Radians and metres."""
+_SAME_VIEW = 1e-4
+"""After a smaller step, radians and metres, the Jacobian is the one before: most iterations only
+settle scale and weights, and the pose they lead to changes by that part of its standard
+deviation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +76,7 @@ def refine_pose(
     # Not as one transform: scipy makes a rotation of it anew, and checks it, at every look.
     rotation, translation = start.rotation, start.translation
     gate, step, sigma = gate_px, np.full(6, np.inf), gate_px
+    jacobian = np.empty((len(matches), 2, 6))
     for iteration in range(_MAX_ITERATIONS):
         matrix = rotation.as_matrix()
         arm_m = matches.p_trs_m - translation
@@ -83,9 +88,10 @@ def refine_pose(
         weights = _tukey(length / (TUKEY_CUT * sigma))
         used = np.flatnonzero(weights)
         need(len(used), MIN_POINTS, "agreeing matches")
-        jacobian = jacobian_of_arms_px(arm_m[used], matrix, camera)
-        jacobian /= matches.scale[used, None, None]
-        step = _solve(jacobian, residuals[used], weights[used])
+        if np.abs(step).max() > _SAME_VIEW:
+            jacobian = _jacobian(arm_m, matrix, camera)
+            jacobian /= matches.scale[:, None, None]
+        step = _solve(jacobian[used], residuals[used], weights[used])
         rotation, translation = Rotation.from_rotvec(step[:3]) * rotation, translation + step[3:]
         if np.abs(step).max() < _CONVERGED:
             break
@@ -93,6 +99,12 @@ def refine_pose(
         raise NoPoseError(f"least squares did not converge in {_MAX_ITERATIONS} iterations")
     pose = RigidTransform.from_components(translation, rotation)
     return _estimate(pose, matches, camera, sigma=sigma)
+
+
+def _jacobian(arm_m: FloatArray, rotation: FloatArray, camera: CameraModel) -> FloatArray:
+    """Give the Jacobian for all points; of those beside the camera, which have no weight, any."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        return np.ascontiguousarray(jacobian_of_arms_px(arm_m, rotation, camera))
 
 
 def _estimate(
@@ -118,8 +130,9 @@ def _estimate(
 
 
 def _solve(jacobian: FloatArray, residuals: FloatArray, weights: FloatArray) -> FloatArray:
-    a = (jacobian * weights[:, None, None]).reshape(-1, 6)
-    return invert_information(a.T @ jacobian.reshape(-1, 6)) @ (a.T @ residuals.ravel())
+    rows = jacobian.reshape(-1, 6)
+    weighted = (rows * np.repeat(weights, 2)[:, None]).T
+    return invert_information(weighted @ rows) @ (weighted @ residuals.ravel())
 
 
 def _sigma(length: FloatArray, gate: float) -> float:

@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tronlab.geometry.poses import FloatArray
-from tronlab.render.kernels import inlined
 from tronlab.render.lamp import prefilter
 from tronlab.render.lamp.kept import LEAST_SAMPLES, find_map, keep_map, map_file
 from tronlab.render.lamp.prefilter import Pyramid, lay_out, make_pyramid
@@ -15,7 +14,7 @@ from tronlab.render.lamp.sweep import sweep
 from tronlab.render.quadtree import Grid
 from tronlab.render.renderer import Lamp, RenderError
 from tronlab.render.surface import NO_ALBEDO
-from tronlab.terrain.kernels import n_cores
+from tronlab.terrain.kernels import inlined, n_cores
 
 _N_LAMPS = 2
 _MOST_SAMPLES = 10**8

@@ -19,9 +19,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tronlab.render.kernels import inlined, kernel
 from tronlab.render.quadtree import Grid
-from tronlab.terrain.kernels import compiled, run_interleaved
+from tronlab.terrain.kernels import compiled, inlined, kernel, run_interleaved
 
 _SCALE = 32767.0
 _BAND = 64

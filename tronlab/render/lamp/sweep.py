@@ -28,12 +28,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tronlab.render.kernels import inlined
 from tronlab.render.lamp.sectors import sectors
 from tronlab.render.lighting import SHADOW_OFFSET_M
 from tronlab.render.quadtree import Grid
 from tronlab.render.surface import triangle
-from tronlab.terrain.kernels import compiled, run_interleaved
+from tronlab.terrain.kernels import compiled, inlined, run_interleaved
 
 LIT = np.uint8(255)
 DARK = np.uint8(0)

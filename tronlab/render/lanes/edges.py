@@ -7,7 +7,6 @@ Interpolated between nodes they would lie up to half a cell beside their place.
 
 import numpy as np
 
-from tronlab.render.kernels import kernel
 from tronlab.render.lanes.rows import (
     IS_LIT,
     LAMP_X,
@@ -26,6 +25,7 @@ from tronlab.render.lanes.rows import (
 )
 from tronlab.render.lighting import visible_share
 from tronlab.render.surface import height_at
+from tronlab.terrain.kernels import kernel
 
 _ALL_SEE_IT = 4 * 255
 

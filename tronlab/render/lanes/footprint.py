@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tronlab.render.kernels import inlined
+from tronlab.terrain.kernels import inlined
 
 _MOST_PROBES = 4
 _LEAST_FALL = 0.05

@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tronlab.render.kernels import inlined, kernel
 from tronlab.render.lanes.footprint import Footprint, footprint_of
 from tronlab.render.lanes.light import light_lanes
 from tronlab.render.lanes.rows import (
@@ -25,6 +24,7 @@ from tronlab.render.lanes.start_depth import start_depth
 from tronlab.render.lanes.stepping import HIT, TOP_LEVEL, aim_lanes, follow_lanes
 from tronlab.render.lanes.tiles import LANES
 from tronlab.render.view import direction_of
+from tronlab.terrain.kernels import inlined, kernel
 
 _NONE = np.float32(np.nan)
 

@@ -8,7 +8,6 @@ more when all rays have met the surface is overwritten.
 
 import numpy as np
 
-from tronlab.render.kernels import kernel
 from tronlab.render.lanes.lookup import look_up
 from tronlab.render.lanes.rows import (
     COS_EMISSION,
@@ -44,6 +43,7 @@ from tronlab.render.lanes.stepping import HIT
 from tronlab.render.lighting import light_at
 from tronlab.render.photometry_kernel import LAMBERT, reflected
 from tronlab.render.surface import albedo_at, cone_factor, height_at
+from tronlab.terrain.kernels import kernel
 
 _ZERO, _ONE = np.float32(0), np.float32(1)
 _LEAST_SHARE = np.float32(1e-6)

@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tronlab.render.kernels import inlined, kernel
 from tronlab.render.lamp.map import LampMap
 from tronlab.render.lanes.edges import settle_edges
 from tronlab.render.lanes.rows import (
@@ -60,6 +59,7 @@ from tronlab.render.lanes.rows import (
 )
 from tronlab.render.lanes.stepping import HIT, held, least, limits
 from tronlab.render.surface import albedo_at
+from tronlab.terrain.kernels import inlined, kernel
 
 _ZERO, _ONE, _TWO, _HALF = np.float32(0), np.float32(1), np.float32(2), np.float32(0.5)
 _PER_SHARE = np.float32(1 / 255)

@@ -4,7 +4,7 @@
 
 import numpy as np
 
-from tronlab.render.kernels import inlined, kernel
+from tronlab.terrain.kernels import inlined, kernel
 
 _ROUNDING_M = 1e-6
 _LEAST_GAIN = 0.02

@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tronlab.render.kernels import inlined, kernel
 from tronlab.render.lanes.rows import (
     COLUMN,
     DEPTH,
@@ -42,6 +41,7 @@ from tronlab.render.lanes.rows import (
     TOWARDS_Z,
 )
 from tronlab.render.surface import triangle
+from tronlab.terrain.kernels import inlined, kernel
 
 TOP_LEVEL = 9
 """Rays skip squares of at most so many levels; positions count from a corner of such a square."""

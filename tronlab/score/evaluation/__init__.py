@@ -1,1 +1,1 @@
-"""What scores amount to: statistics with intervals, bins, recall, consistency, comparisons, tables."""
+"""What scores amount to: statistics with intervals, recall, consistency, comparisons, tables."""

@@ -12,6 +12,7 @@ from tronlab.score.results import ScoreResults
 _SAME = 1e-9
 """Relative difference up to which two numbers of the truth are the same number."""
 _TRUTH = ("range_los_m", "usable_fraction", "sigma_truth_m")
+_POSE = "truth_crc"
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +56,7 @@ def pair_runs(results: Sequence[ScoreResults], cores: Sequence[str] = ()) -> lis
             hold scores of different shots, or of another truth.
     """
     folders = [str(r.directory) for r in results]
+    cores = tuple(dict.fromkeys(cores))
     for other in results[1:]:
         check_same_truth(results[0], other)
     runs = [_runs(r, cores) for r in results]
@@ -79,11 +81,25 @@ def pair_runs(results: Sequence[ScoreResults], cores: Sequence[str] = ()) -> lis
     return pairs
 
 
+def left_out(
+    results: Sequence[ScoreResults], pairs: Sequence[RunPair], cores: Sequence[str] = ()
+) -> list[str]:
+    """Name what was to be looked at and is in no pair, as a core that only one folder has."""
+    paired = {(run.folder, run.core) for pair in pairs for run in (pair.base, pair.other)}
+    return [
+        f"{core} of {r.directory}"
+        for r in results
+        for core in _runs(r, cores)
+        if (str(r.directory), core) not in paired
+    ]
+
+
 def check_same_truth(base: ScoreResults, other: ScoreResults) -> None:
     """Refuse scores of different shots.
 
     Raises:
-        ScoreError: The shots are not the same, or one has another truth.
+        ScoreError: The shots are not the same, or one has another truth: pose, sigma, range, or
+            what is seen of the terrain.
     """
     ours, theirs = _truth(base.scores), _truth(other.scores)
     odd = ours.index.symmetric_difference(theirs.index)
@@ -94,20 +110,32 @@ def check_same_truth(base: ScoreResults, other: ScoreResults) -> None:
             f" {odd[0]} is in {where} only ({len(ours)} and {len(theirs)} shots);"
             " compare scorings of the same dataset"
         )
-    a, b = ours.to_numpy(np.float64), theirs.loc[ours.index].to_numpy(np.float64)
-    # A table of an earlier version does not know the sigma: NaN is no difference.
-    differs = np.abs(a - b) > _SAME * np.abs(a)
-    if differs.any():
-        row, column = np.argwhere(differs)[0]
+    difference = _difference(ours, theirs.loc[ours.index])
+    if difference:
         raise ScoreError(
-            f"{base.directory} and {other.directory}: the truth differs: {_TRUTH[column]} of shot"
-            f" {ours.index[row]} is {a[row, column]:.9g} and {b[row, column]:.9g}; the datasets are"
-            " different ones, or truth was recomputed: score both anew with tronlab score"
+            f"{base.directory} and {other.directory}: the truth differs: {difference}; the datasets"
+            " are different ones, or truth was recomputed: score both anew with tronlab score"
         )
 
 
 def _truth(scores: pd.DataFrame) -> pd.DataFrame:
-    return scores.drop_duplicates("shot_id").set_index("shot_id")[list(_TRUTH)].sort_index()
+    return scores.drop_duplicates("shot_id").set_index("shot_id")[[*_TRUTH, _POSE]].sort_index()
+
+
+def _difference(ours: pd.DataFrame, theirs: pd.DataFrame) -> str:
+    """Say in what the truth of the same shots differs; empty if in nothing.
+
+    A table of an earlier version knows neither sigma (NaN) nor checksum (0): no difference.
+    """
+    for name in _TRUTH:
+        a, b = ours[name].to_numpy(np.float64), theirs[name].to_numpy(np.float64)
+        differs = np.abs(a - b) > _SAME * np.abs(a)
+        if differs.any():
+            i = int(differs.argmax())
+            return f"{name} of shot {ours.index[i]} is {a[i]:.9g} and {b[i]:.9g}"
+    a, b = ours[_POSE].to_numpy(np.int64), theirs[_POSE].to_numpy(np.int64)
+    differs = (a != b) & (a != 0) & (b != 0)
+    return f"shot {ours.index[differs.argmax()]} has another pose" if differs.any() else ""
 
 
 def _runs(results: ScoreResults, cores: Sequence[str]) -> dict[str, Run]:

@@ -1,1 +1,1 @@
-"""Asking cores for the poses of shots: units, workers, a cluster, and what is kept of the answers."""
+"""Asking cores for the poses of shots: units, workers, a cluster, and what is kept."""

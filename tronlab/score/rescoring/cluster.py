@@ -6,7 +6,7 @@ Only this module imports ``distributed``: the extra ``cluster`` brings it.
 import logging
 import platform
 import re
-from collections.abc import Generator, Iterable, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
@@ -40,7 +40,7 @@ class Place:
 
     software: Software
     problems: tuple[str, ...]
-    """Why it cannot read the datasets that were asked for."""
+    """Why it cannot read the files that were asked for."""
 
 
 class DaskExecutor:
@@ -50,6 +50,9 @@ class DaskExecutor:
     ``distributed.scheduler.allowed-failures`` says. Dask blames every unit that was on its way to
     the lost worker; those it gives up are tried again core by core, each alone on the cluster, and
     the one that still loses its workers gets the result "error".
+
+    A built-in core that takes too long is interrupted between two steps of Python code; unlike on
+    this computer, nobody ends one that hangs within a step.
     """
 
     def __init__(self, address: str, *, timeout_s: float = 10.0) -> None:
@@ -105,13 +108,17 @@ def software_here() -> Software:
     }
 
 
-def look_around(datasets: Mapping[Path, str]) -> Place:
+def look_around(datasets: Mapping[Path, str], landmarks: Mapping[Path, str]) -> Place:
     """Tell what this process works with; runs on each worker.
 
     Args:
         datasets: Where they are, and how ``_identity`` tells them from others.
+        landmarks: The same of databases, told by ``_digest``.
     """
-    problems = (_problem_with(path, identity) for path, identity in datasets.items())
+    problems = [
+        *(_problem_with(path, _identity, told, "dataset") for path, told in datasets.items()),
+        *(_problem_with(path, _digest, told, "database") for path, told in landmarks.items()),
+    ]
     return Place(software_here(), tuple(filter(None, problems)))
 
 
@@ -132,17 +139,25 @@ def score_there(unit: Unit, expected: Software) -> UnitDone:
         raise ScoreError(str(error)) from None
 
 
-def _problem_with(dataset_path: Path, identity: str) -> str | None:
+def _problem_with(
+    path: Path, identify: Callable[[Path], str], identity: str, what: str
+) -> str | None:
     try:
-        is_same = _identity(dataset_path) == identity
+        is_same = identify(path) == identity
     except TronlabError as error:
         return str(error)
-    return None if is_same else f"{dataset_path}: is another dataset there"
+    return None if is_same else f"{path}: is another {what} there"
 
 
 def _identity(dataset_path: Path) -> str:
     with Dataset(dataset_path) as dataset:
         return f"{dataset.uuid} with {dataset.n_shots} shots"
+
+
+def _digest(database_path: Path) -> str:
+    from tronlab.nav.database_file import open_database
+
+    return open_database(database_path).digest
 
 
 @contextmanager
@@ -193,9 +208,11 @@ def _wait_for_a_worker(client: "Client", address: str, timeout_s: float) -> None
 
 def _check_workers(client: "Client", units: Sequence[Unit], software: Software) -> int:
     """See that every worker can do the work; give how many there are."""
-    paths = dict.fromkeys(unit.dataset_path for unit in units)
-    datasets = {path: _identity(path) for path in paths}
-    places = cast("Mapping[str, Any]", client.run(look_around, datasets, on_error="return"))
+    datasets = {path: _identity(path) for path in {unit.dataset_path for unit in units}}
+    databases = {core.database for unit in units for core in unit.cores}
+    landmarks = {path: _digest(path) for path in databases if path is not None}
+    found = client.run(look_around, datasets, landmarks, on_error="return")
+    places = cast("Mapping[str, Any]", found)
     for worker, place in places.items():
         if isinstance(place, OSError):
             continue  # it was lost meanwhile; the one in its place is seen to by score_there
@@ -204,8 +221,8 @@ def _check_workers(client: "Client", units: Sequence[Unit], software: Software) 
         _refuse_other_software(f"worker {worker}", place.software, software)
         if place.problems:
             raise ScoreError(
-                f"worker {worker}: cannot read a dataset: {place.problems[0]};"
-                " datasets must be under the same path on every worker"
+                f"worker {worker}: cannot read what it shall: {place.problems[0]};"
+                " datasets and databases must be under the same path on every worker"
             )
     return max(1, len(places))
 

@@ -9,12 +9,12 @@ from typing import IO
 
 from tronlab.dataset.drift import doubts
 from tronlab.dataset.reader import Dataset
-from tronlab.errors import ScoreError
+from tronlab.errors import IntegrityError, ScoreError
 from tronlab.nav.core import NavigationResult, PosePrior
 from tronlab.nav.specs import CoreSpec
 from tronlab.nav.stages import stage_key
 from tronlab.score.rescoring.keys import calibration_key, frame_keys, result_keys
-from tronlab.score.rescoring.opening import ScoredCore, describe_cores
+from tronlab.score.rescoring.opening import ScoredCore, check_databases, describe_cores
 from tronlab.score.rescoring.packing import unpack_result
 from tronlab.score.rescoring.prior import PriorSettings, drawn_prior, prior_after
 from tronlab.score.rescoring.shot import LIMIT_S, CoreScore
@@ -149,7 +149,7 @@ class Scoring:
         """Read what is known of the shots, and ask the cores what they are.
 
         Raises:
-            DatasetError: The dataset cannot be read.
+            DatasetError: The dataset or a file of landmarks cannot be read.
             ScoreError: There is nothing to score, a core is not known or does not start, or the
                 results cannot go where they shall.
         """
@@ -163,6 +163,11 @@ class Scoring:
             frames, calibration = frame_keys(dataset), calibration_key(dataset)
         self._dataset_key = stage_key(frames=frames, calibration=calibration, uuid=self.uuid)
         self.cores = describe_cores(job.cores)
+        for database in check_databases(self.cores, uuid=self.uuid):
+            announce(
+                f"{job.dataset_path}: its scores decided which landmarks stayed in {database}:"
+                " with these, they say little about other images"
+            )
         _make_folder(job.out_dir)
         self._file = AnswerFile(job.out_dir)
         self._answers: dict[CoreId, CoreAnswers] = {
@@ -188,6 +193,26 @@ class Scoring:
     def n_missing(self) -> int:
         """Get how many of them are missing."""
         return sum(len(answers.missing) for answers in self._answers.values())
+
+    def check_images(self) -> None:
+        """See that there is anything to look at.
+
+        Raises:
+            ScoreError: No image can be read.
+        """
+        damages: list[str] = []
+        with Dataset(self.job.dataset_path) as dataset:
+            for i in range(dataset.n_shots):
+                try:
+                    dataset.image(i)
+                    dataset.mask(i)
+                except IntegrityError as damage:
+                    damages.append(str(damage))
+                else:
+                    return
+        raise ScoreError(
+            f"{self.job.dataset_path}: none of its {len(damages)} images can be read: {damages[0]}"
+        )
 
     def take_kept(self, find: Find) -> None:
         """Take answers of earlier scorings."""

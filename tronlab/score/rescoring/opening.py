@@ -3,8 +3,9 @@
 What a kind of core needs is imported when there is one: OpenCV and SciPy take longest to start.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 from tronlab.errors import ScoreError, TronlabError
 from tronlab.nav.core import CoreContext, NavigationCore
@@ -27,6 +28,12 @@ class ScoredCore:
     is_sequential: bool = False
     """It keeps state along a trajectory, and sees whole datasets in order."""
     wants_references: bool = True
+
+    @property
+    def database(self) -> Path | None:
+        """Get the file of landmarks it looks into; None for those of the dataset."""
+        database = self.spec.settings.get("database") if self.is_built_in else None
+        return None if database is None else Path(str(database))
 
     @property
     def is_shared(self) -> bool:
@@ -73,17 +80,31 @@ def describe_cores(specs: Sequence[CoreSpec]) -> tuple[ScoredCore, ...]:
         if same not in known:
             known[same] = _described(spec)
         seen = known[same]
-        cores.append(
-            ScoredCore(
-                spec,
-                core_key(spec, seen.key),
-                seen.version,
-                seen.is_built_in,
-                seen.is_sequential,
-                seen.wants_references,
-            )
-        )
+        cores.append(replace(seen, spec=spec, key=core_key(spec, seen.key)))
     return tuple(cores)
+
+
+def check_databases(cores: Iterable[ScoredCore], *, uuid: str | None) -> tuple[Path, ...]:
+    """Verify the files of landmarks that cores look into.
+
+    Args:
+        cores: The cores.
+        uuid: Of the dataset they are to be scored on.
+
+    Returns:
+        The files whose landmarks were chosen by scores of this dataset.
+
+    Raises:
+        DatasetError: One cannot be read, or is damaged.
+    """
+    paths = dict.fromkeys(core.database for core in cores if core.database is not None)
+    if not paths:
+        return ()
+    from tronlab.nav.database_file import open_database, verify_database
+
+    for path in paths:
+        verify_database(path)
+    return tuple(path for path in paths if uuid in open_database(path).pruned_by)
 
 
 def _described(spec: CoreSpec) -> ScoredCore:
@@ -92,8 +113,8 @@ def _described(spec: CoreSpec) -> ScoredCore:
     from tronlab.nav.foreign import describe_core
 
     if is_built_in(spec):
-        has_database = spec.settings.get("database") is not None
-        return ScoredCore(spec, built_in_identity(spec), wants_references=not has_database)
+        core = ScoredCore(spec, built_in_identity(spec))
+        return replace(core, wants_references=core.database is None)
     told = describe_core(spec)
     return ScoredCore(
         spec,

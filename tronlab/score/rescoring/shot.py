@@ -1,5 +1,6 @@
 """Scoring one shot: a core is asked, and whatever it does becomes a result with a reason."""
 
+import ctypes
 import signal
 import threading
 from collections.abc import Generator
@@ -60,21 +61,59 @@ class _TimeUp(BaseException):
 
 @contextmanager
 def _time_limit(limit_s: float | None) -> Generator[None]:
-    """Interrupt what runs longer, as far as a signal can: between two steps of Python code.
+    """Interrupt what runs longer, as far as Python can: between two steps of its code.
 
-    What no signal interrupts is ended with its process: ``score.rescoring.workers``.
+    What that does not reach is ended with its process: ``score.rescoring.workers``.
     """
-    if limit_s is None or threading.current_thread() is not threading.main_thread():
+    if limit_s is None:
         yield
-        return
+    elif threading.current_thread() is threading.main_thread():
+        with _alarm(limit_s):
+            yield
+    else:
+        with _raised_from_outside(limit_s):
+            yield
+
+
+@contextmanager
+def _alarm(limit_s: float) -> Generator[None]:
+    """Interrupt the main thread: a signal wakes it from a sleep as well."""
 
     def ring(_signal: int, _frame: object) -> None:
         raise _TimeUp
 
     before = signal.signal(signal.SIGALRM, ring)
-    signal.setitimer(signal.ITIMER_REAL, limit_s)
+    try:
+        signal.setitimer(signal.ITIMER_REAL, limit_s)
+        try:
+            yield
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+    finally:
+        signal.signal(signal.SIGALRM, before)
+
+
+@contextmanager
+def _raised_from_outside(limit_s: float) -> Generator[None]:
+    """Interrupt another thread, one of a Dask worker: it has no signals."""
+    this_thread = ctypes.c_ulong(threading.get_ident())
+    is_over, lock = threading.Event(), threading.Lock()
+
+    def ring() -> None:
+        with lock:
+            if not is_over.is_set():
+                _raise_in(this_thread, ctypes.py_object(_TimeUp))
+
+    timer = threading.Timer(limit_s, ring)
+    timer.daemon = True
+    timer.start()
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
+        with lock:
+            is_over.set()
+            _raise_in(this_thread, None)  # what has not been raised yet
+        timer.cancel()
+
+
+_raise_in = ctypes.pythonapi.PyThreadState_SetAsyncExc

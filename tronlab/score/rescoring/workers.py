@@ -8,7 +8,9 @@ that core to that shot is an error or a timeout, and another worker goes on with
 """
 
 import multiprocessing
+import os
 import signal
+import threading
 import time
 from collections import deque
 from collections.abc import Generator, Iterable, Sequence
@@ -306,7 +308,8 @@ def _end(workers: Iterable[_Worker]) -> None:
 
 def _work(connection: Connection) -> None:
     """Score the units sent; an error goes back as an answer, so that it arrives whole."""
-    # The end of the pipe is the end of the work; if the other side is killed, at any moment.
+    # The end of the pipe is the end of the work.
+    threading.Thread(target=_end_with_the_parent, daemon=True).start()
     with one_opencv_thread(), Workbench() as workbench, suppress(EOFError, ConnectionError):
         while (unit := connection.recv()) is not None:
             try:
@@ -315,6 +318,14 @@ def _work(connection: Connection) -> None:
                 connection.send("done")
             except TronlabError as error:
                 connection.send(ScoreError(str(error)))
+
+
+def _end_with_the_parent() -> None:
+    """End this process once the one that scores is killed, whatever is being waited for here."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)  # at once: the cores it started end with it
 
 
 @contextmanager

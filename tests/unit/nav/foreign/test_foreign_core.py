@@ -75,69 +75,70 @@ def test_a_core_with_state_is_told_of_a_new_sequence(
     assert counts == expected
 
 
-@pytest.mark.parametrize(
-    ("what", "status", "reason"),
-    [
-        ("segfault", "error", r"ended without an answer; signal 11 \(Segmentation fault\)"),
-        ("exit3", "error", "ended without an answer; exit code 3; its last words: out of fuel$"),
-        ("half_and_exit", "error", "in the middle of a message, after 100 bytes; exit code 0"),
-        ("closed", "error", "ended without an answer; it still runs"),
-        ("printing", "error", r'the core wrote "Loading model\.\.\." to standard output, which'
-         " carries the messages; print to standard error$"),
-        ("noise", "error", "wrote bytes c8 c9 ca .*to standard output"),
-        ("endless", "error", "announced a payload of 4611686018427387904 bytes; at most 67108864"),
-        ("long_header", "error", "announced a header of 4294967295 bytes"),
-        ("no_json", "error", "sent a header that is no JSON"),
-        ("other_number", "error", "answered frame 2, asked was 1"),
-        ("other_type", "error", "sent a message of type 'ready', expected result"),
-        ("stop", "timeout", "no answer within 0.1 s, nor in another 0.1 s: it is silent"),
-        ("half", "timeout", r"no answer within .* it sent 100 of \d+ bytes"),
-        ("crumbs", "timeout", r"no answer within .* it sent \d+ of \d+ bytes"),
-    ],
+FATAL = (
+    ("segfault", "error", r"ended without an answer; signal 11 \(Segmentation fault\)"),
+    ("exit3", "error", "ended without an answer; exit code 3; its last words: out of fuel$"),
+    ("half_and_exit", "error", "in the middle of a message, after 100 bytes; exit code 0"),
+    ("closed", "error", "ended without an answer; it still runs"),
+    ("printing", "error", r'the core wrote "Loading model\.\.\." to standard output, which'
+     " carries the messages; print to standard error$"),
+    ("noise", "error", "wrote bytes c8 c9 ca .*to standard output"),
+    ("endless", "error", "announced a payload of 4611686018427387904 bytes; at most 67108864"),
+    ("long_header", "error", "announced a header of 4294967295 bytes"),
+    ("no_json", "error", "sent a header that is no JSON"),
+    ("other_number", "error", r"answered frame 20, asked was 19"),
+    ("other_type", "error", "sent a message of type 'ready', expected result"),
+    ("stop", "timeout", "no answer within 0.1 s, nor in another 0.1 s: it is silent"),
+    ("half", "timeout", r"no answer within .* it sent 100 of \d+ bytes"),
+    ("crumbs", "timeout", r"no answer within .* it sent \d+ of \d+ bytes"),
 )  # fmt: skip
+
+
 def test_a_failure_has_a_reason_and_the_next_frame_a_new_process(
-    opened: Opened, monkeypatch: pytest.MonkeyPatch, what: str, status: str, reason: str
+    opened: Opened, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    core = opened(plain(f"1={what}"))
-    pid = json.loads(core.locate(frame(0)).reason)["pid"]
-    with monkeypatch.context() as patch:
-        if status == "timeout":
-            patch.setattr(core, "_limit_s", 0.1)
-        failed = core.locate(frame(1))
-    assert (failed.status, failed.trs_from_cam) == (status, None)
-    assert re.search(reason, failed.reason), failed.reason
-    assert is_gone(pid)
-    after = core.locate(frame(2))
-    assert position(after) == place(frame(2))
-    assert json.loads(after.reason)["pid"] != pid
+    """Every second frame fails, in another way each."""
+    core = opened(plain(*(f"{2 * i + 1}={what}" for i, (what, _, _) in enumerate(FATAL))))
+    pids = [json.loads(core.locate(frame(0)).reason)["pid"]]
+    for number, (what, status, reason) in zip(range(1, 99, 2), FATAL, strict=False):
+        with monkeypatch.context() as patch:
+            if status == "timeout":
+                patch.setattr(core, "_limit_s", 0.1)
+            failed = core.locate(frame(number))
+        assert (what, failed.status, failed.trs_from_cam) == (what, status, None)
+        assert re.search(reason, failed.reason), failed.reason
+        assert is_gone(pids[-1])
+        after = core.locate(frame(number + 1))
+        assert position(after) == place(frame(number + 1))
+        pids.append(json.loads(after.reason)["pid"])
+    assert len(set(pids)) == len(FATAL) + 1
 
 
-@pytest.mark.parametrize(
-    ("what", "status", "reason"),
-    [
-        ("not_a_number", "error", r"cannot be used: .*not finite: \[0.0, nan, 1.0"),
-        ("other_frames", "error", "parent 'cam' and child 'trs'; it must be trs_from_cam"),
-        ("long_quaternion", "error", r"the quaternion's norm is 1\.0049.*, expected 1"),
-        ("parts_beyond", "error", "part 'uv_inliers': reaches to byte 160 of the payload"),
-        ("covariance", "error", "covariance has a variance below 0"),
-        ("late", "timeout", r"answered 0\.\d+ s after the limit of 0.4 s"),
-        ("loud", "ok", "since_reset"),
-    ],
+USELESS = (
+    ("not_a_number", "error", r"cannot be used: .*not finite: \[0.0, nan, 1.0"),
+    ("other_frames", "error", "parent 'cam' and child 'trs'; it must be trs_from_cam"),
+    ("long_quaternion", "error", r"the quaternion's norm is 1\.0049.*, expected 1"),
+    ("parts_beyond", "error", "part 'uv_inliers': reaches to byte 160 of the payload"),
+    ("covariance", "error", "covariance has a variance below 0"),
+    ("late", "timeout", r"answered 0\.\d+ s after the limit of 0.4 s"),
+    ("loud", "ok", "since_reset"),
 )
+
+
 def test_an_answer_of_no_use_keeps_the_process(
-    opened: Opened, monkeypatch: pytest.MonkeyPatch, what: str, status: str, reason: str
+    opened: Opened, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    core = opened(plain(f"1={what}"))
-    pid = json.loads(core.locate(frame(0)).reason)["pid"]
-    with monkeypatch.context() as patch:
-        if status == "timeout":
-            patch.setattr(core, "_limit_s", 0.4)
-        result = core.locate(frame(1))
-    assert result.status == status
-    assert re.search(reason, result.reason), result.reason
-    after = core.locate(frame(2))
-    assert position(after) == place(frame(2))
-    assert json.loads(after.reason)["pid"] == pid
+    core = opened(plain(*(f"{i}={what}" for i, (what, _, _) in enumerate(USELESS))))
+    for number, (what, status, reason) in enumerate(USELESS):
+        with monkeypatch.context() as patch:
+            if status == "timeout":
+                patch.setattr(core, "_limit_s", 0.4)
+            result = core.locate(frame(number))
+        assert (what, result.status) == (what, status)
+        assert re.search(reason, result.reason), result.reason
+    after = core.locate(frame(len(USELESS)))
+    assert position(after) == place(frame(len(USELESS)))
+    assert json.loads(after.reason)["since_reset"] == len(USELESS)  # in one and the same process
 
 
 def test_an_answer_too_many_is_not_taken_for_the_next_frame(opened: Opened) -> None:
@@ -182,12 +183,10 @@ def test_children_of_a_core_end_with_it(opened: Opened, monkeypatch: pytest.Monk
 
 
 def test_after_five_failures_in_a_row_a_core_is_asked_no_more(opened: Opened) -> None:
-    fatal = [f"{n}=exit3" for n in range(1, 9) if n != 4]
-    core = opened(plain(*fatal))
-    results = [core.locate(frame(n)) for n in range(4)]
-    assert [result.status for result in results] == ["ok", "error", "error", "error"]
-    assert core.locate(frame(4)).status == "ok"  # counts from here
-    results = [core.locate(frame(n % 4 + 5)) for n in range(MOST_FAILURES + 2)]
+    core = opened(plain("1=exit3", *(f"{n}=exit3" for n in range(3, 8))))
+    results = [core.locate(frame(n)) for n in range(3)]
+    assert [result.status for result in results] == ["ok", "error", "ok"]  # counts from here
+    results = [core.locate(frame(n)) for n in range(3, 3 + MOST_FAILURES + 2)]
     assert {result.status for result in results} == {"error"}
     assert ["not asked" in result.reason for result in results] == [False] * 5 + [True] * 2
     assert results[-1].reason == (
@@ -250,15 +249,25 @@ def test_nothing_is_left_when_tronlab_is_killed(tmp_path: Path) -> None:
         (plain("hello=other_type"), "it sent a message of type 'ready', expected hello"),
         (plain("hello=stop"), "it is not ready within 0.15 s: it is silent"),
         (CoreSpec("x", "command", "./no_such_program --fast"), "'./no_such_program': No such file"),
-        (CoreSpec("x", "command", "/etc/passwd"), "cannot be started: '/etc/passwd': Permission"),
+        (CoreSpec("x", "command", f"./long {'x' * 5000}"), "'./long': No such file or directory$"),
         (CoreSpec("x", "command", "beside"), r"No such file or directory; write \./beside$"),
+        (CoreSpec("x", "command", "./beside"), r"Permission denied; chmod \+x ./beside"),
+        (CoreSpec("x", "command", "."), "Permission denied; it is a folder"),
+        (CoreSpec("x", "command", "~/core"), "no shell reads this: write the whole path"),
+        (CoreSpec("x", "command", "./empty"), "it is no program for this machine, nor a"),
+        (CoreSpec("x", "command", "./script"), "it is there, but not what its first line names"),
+        (CoreSpec("x", "command", "./a b.py c"), r"put the name in quotes: cmd:'./a b.py'$"),
     ],
 )  # fmt: skip
 def test_a_core_that_cannot_be_described_is_an_error(
     spec: CoreSpec, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    Path("beside").touch()
+    for name in ("beside", "empty", "a b.py"):
+        Path(name).touch()
+    Path("script").write_text("#!/no/such/interpreter\n")
+    for name in ("empty", "script"):
+        Path(name).chmod(0o755)
     with pytest.raises(ScoreError, match=f"navigation core '{spec.name}': .*{reason}"):
         describe_core(spec, limit_s=0.15 if "stop" in spec.target else 20.0)
 

@@ -15,7 +15,8 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from tronlab.errors import ScoreError
 from tronlab.nav.core import CoreContext, NavigationResult, PosePrior
-from tronlab.nav.foreign import ForeignCore, describe_core
+from tronlab.nav.foreign import ForeignCore, describe_core, host
+from tronlab.nav.foreign.channel import Ends
 from tronlab.nav.foreign.host import _build, _says_it_is_sequential
 from tronlab.nav.foreign.identity import digest_of_sources
 from tronlab.nav.foreign.installed import Factory, load_core
@@ -168,9 +169,13 @@ def test_what_cannot_be_loaded_says_why(target: str, reason: str) -> None:
         load_core(target)
 
 
-def test_the_reason_reaches_the_one_who_scores() -> None:
-    with pytest.raises(ScoreError, match=r"core 'X': it ended .*exit code 1.*: No module named"):
-        describe_core(parse_core("X=no_such_module:Core"))
+def test_the_reason_is_the_last_thing_the_host_says(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(host, "_take_standard_streams", lambda: Ends(0, 1))
+    with pytest.raises(SystemExit, match="no_such:Core cannot be imported: ModuleNotFoundError"):
+        host.main(["no_such:Core", "--listen", "127.0.0.1:0"])
+    for address in ("127.0.0.1", "127.0.0.1:99999", ":x"):
+        with pytest.raises(SystemExit, match=f"--listen {address}: write HOST:PORT"):
+            host.main(["hosted_core:Hosted", "--listen", address])
 
 
 def test_state_is_known_by_the_class_or_said_by_the_factory(context: CoreContext) -> None:
@@ -192,7 +197,7 @@ def test_a_listening_host_serves_one_after_the_other(
     opened: Callable[..., ForeignCore], folder: Path
 ) -> None:
     command = [sys.executable, "-m", "tronlab.nav.foreign.host", "hosted_core:Hosted"]
-    host = subprocess.Popen(
+    listener = subprocess.Popen(
         [*command, "--listen", "127.0.0.1:0"],
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
@@ -200,8 +205,8 @@ def test_a_listening_host_serves_one_after_the_other(
         cwd=folder,
     )
     try:
-        assert host.stdout is not None
-        spec = parse_core(host.stdout.readline().strip())
+        assert listener.stdout is not None
+        spec = parse_core(listener.stdout.readline().strip())
         described = describe_core(spec)
         assert (described.version, described.is_sequential, described.wants_references) == (
             "3.1",
@@ -219,5 +224,5 @@ def test_a_listening_host_serves_one_after_the_other(
             "the core cannot work here: ValueError: a gain of 0 sees nothing",
         )
     finally:
-        host.kill()
-        host.communicate()
+        listener.kill()
+        listener.communicate()

@@ -188,6 +188,8 @@ def test_nobody_there_is_an_error_at_once_and_a_result_later(
     assert (result.status, "cannot be reached" in result.reason) == ("error", True)
     with pytest.raises(ScoreError, match=r"reached at tcp://no-such-host\.invalid:5"):
         describe_core(CoreSpec("x", "tcp", "no-such-host.invalid:5"), limit_s=20.0)
+    with pytest.raises(ScoreError, match=r"reached at tcp://a\.\.b:5: .*label empty"):
+        describe_core(CoreSpec("x", "tcp", "a..b:5"), limit_s=20.0)
 
 
 def test_a_listener_that_never_speaks_is_not_waited_for() -> None:

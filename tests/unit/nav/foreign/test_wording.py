@@ -74,7 +74,7 @@ def test_a_result_is_read_with_what_it_leaves_out() -> None:
     assert (no_pose.status, no_pose.trs_from_cam, no_pose.reason) == ("no_pose", None, "dark")
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(st.data())
 def test_whatever_a_result_says_is_a_result_or_a_short_complaint(data: st.DataObject) -> None:
     header = json.loads(json.dumps(GOOD))
@@ -93,7 +93,7 @@ def test_whatever_a_result_says_is_a_result_or_a_short_complaint(data: st.DataOb
         assert isinstance(result, NavigationResult)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(
     st.lists(st.floats(-1e6, 1e6), min_size=3, max_size=3),
     st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(lambda q: np.linalg.norm(q) > 0.1),
