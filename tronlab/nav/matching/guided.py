@@ -1,5 +1,6 @@
 """Guided matching: where the pose is roughly known, a landmark can only be in one place."""
 
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -100,6 +101,7 @@ def guided_matches(
     return nearest.matches(stand_in=float(np.median(unrelated)))
 
 
+@lru_cache(maxsize=8)
 def _ray_limits(camera: CameraModel) -> tuple[FloatArray, FloatArray]:
     """Give the least and the largest (x, y) of the rays through the image, with a margin."""
     along_u = np.linspace(-0.5, camera.width_px - 0.5, 33)

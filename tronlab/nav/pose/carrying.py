@@ -19,6 +19,9 @@ MAX_DISTANCE_EXTENTS = 100.0
 """Largest distance to the points, in sizes of the area they cover: they fill a few pixels then."""
 MIN_CHI_SQUARE = 2.0 * float(np.log(1e4))
 """By so much the other pose of a plane must fit worse: it is 10 000 times less likely then."""
+SEEN_LARGE = 0.5
+"""Size of the area of the points, in distances to it, from which perspective tells its tilt: by
+pixels for a degree, so that there is no second pose to look for."""
 
 _SAMPLE = 3
 _POSES_OF_SAMPLE = 4
@@ -107,7 +110,10 @@ def check_view(
         bound = cramer_rao_bound(trs_from_cam, matches, camera, sigma_px=sigma_px)
     except NoPoseError as error:
         raise NoPoseError(f"{error}; {_look(matches, camera)}") from error
-    _check_is_only_one(trs_from_cam, matches, camera, sigma_px, max_sigma_pct / 100 * distance_m)
+    if extent_m < SEEN_LARGE * distance_m:
+        _check_is_only_one(
+            trs_from_cam, matches, camera, sigma_px, max_sigma_pct / 100 * distance_m
+        )
     sigma_pct = 100.0 * float(np.sqrt(np.trace(bound[3:, 3:]))) / distance_m
     if sigma_pct > max_sigma_pct:
         raise NoPoseError(
