@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from tronlab.errors import ScoreError
+from tronlab.geometry.poses import FloatArray
 from tronlab.nav.core import CoreContext, Frame
 from tronlab.nav.database import Database, build_database
 from tronlab.nav.database_file import open_database
@@ -86,6 +87,8 @@ class LandmarkFinder:
             lambda: FeatureFinder(settings.detector, context),
         )
         self._last: tuple[str, tuple[Matches, float]] | None = None
+        self._rays: tuple[Features, FloatArray] | None = None
+        """Through the features of the last image: lens equations take time to solve."""
 
     def features(self, frame: Frame) -> tuple[Features, float]:
         """Give the features of an image and the time it took to find them, seconds."""
@@ -112,10 +115,11 @@ class LandmarkFinder:
 
     def correspondences(self, features: Features, matches: Matches) -> Correspondences:
         """Give image positions and points of matches."""
-        uv = features.uv[matches.feature]
+        if self._rays is None or self._rays[0] is not features:
+            self._rays = features, self.camera.rays(features.uv)
         return Correspondences(
-            uv,
-            self.camera.rays(uv),
+            features.uv[matches.feature],
+            self._rays[1][matches.feature],
             self.database.p_trs_m[matches.landmark],
             features.size_px[matches.feature] / features.size_px.min(initial=np.inf),
         )
