@@ -22,7 +22,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -131,10 +131,8 @@ def run(arguments: Sequence[str], cache: Path, *, kill_after_s: float | None = N
 
 def check_same(one: Path, other: Path, *, but: Sequence[str]) -> None:
     """See that two scorings have the same rows."""
-    read: Callable[[Path], pd.DataFrame] = lambda folder: pd.read_csv(  # noqa: E731
-        folder / "scores.csv", dtype=str
-    ).drop(columns=list(but))
-    pd.testing.assert_frame_equal(read(one), read(other))
+    rows = (pd.read_csv(folder / "scores.csv", dtype=str) for folder in (one, other))
+    pd.testing.assert_frame_equal(*(table.drop(columns=list(but)) for table in rows))
 
 
 def show(taken: dict[str, Taken]) -> None:

@@ -5,13 +5,13 @@ settings of a stage agree share its work: database, features, matches.
 """
 
 from dataclasses import replace
-from importlib.metadata import EntryPoint, entry_points, version
+from importlib.metadata import version
 
 import cv2
 
-from tronlab.errors import ScoreError
 from tronlab.nav.core import CoreContext, Frame, NavigationCore, NavigationResult
 from tronlab.nav.database_file import open_database
+from tronlab.nav.installed import installed_core
 from tronlab.nav.localisation import Fix, Localisation
 from tronlab.nav.matching import load_kernels
 from tronlab.nav.pose import NoPoseError
@@ -20,7 +20,6 @@ from tronlab.nav.sightings import landmark_finder
 from tronlab.nav.sources import digest_of_stage
 from tronlab.nav.specs import CoreSpec
 
-ENTRY_POINT_GROUP = "tronlab.navigation_cores"
 BUILT_IN_CORES = tuple(PRESETS)
 
 
@@ -89,18 +88,13 @@ def brisk_refined(context: CoreContext) -> NavigationCore:
     return _feature_core("brisk-refined", context)
 
 
-def known_cores() -> dict[str, EntryPoint]:
-    """Give every installed core by name."""
-    return {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP)}
-
-
 def is_built_in(spec: CoreSpec) -> bool:
     """Tell whether a core is one of tronlab's own, which run in the process that scores.
 
     Raises:
         ScoreError: It is to be an installed one, and is not.
     """
-    return spec.kind == "installed" and _installed(spec.target).name in PRESETS
+    return spec.kind == "installed" and installed_core(spec.target).name in PRESETS
 
 
 def make_core(spec: CoreSpec, context: CoreContext) -> NavigationCore:
@@ -112,7 +106,7 @@ def make_core(spec: CoreSpec, context: CoreContext) -> NavigationCore:
         ConfigError: It has no such setting.
     """
     own = replace(context, settings=spec.settings, seed=spec.seed)
-    return _installed(spec.target).load()(own)
+    return installed_core(spec.target).load()(own)
 
 
 def built_in_identity(spec: CoreSpec) -> str:
@@ -132,13 +126,3 @@ def built_in_identity(spec: CoreSpec) -> str:
 
 def _feature_core(preset: str, context: CoreContext) -> NavigationCore:
     return FeatureCore(preset, core_settings(preset, context.settings), context)
-
-
-def _installed(name: str) -> EntryPoint:
-    cores = known_cores()
-    if name not in cores:
-        raise ScoreError(
-            f"no navigation core '{name}'; known cores: {', '.join(sorted(cores)) or 'none'};"
-            " others: cmd:PROGRAM ARGUMENTS, package.module:Class, tcp://HOST:PORT"
-        )
-    return cores[name]

@@ -47,7 +47,7 @@ def parse_core(text: str) -> CoreSpec:
         raise ScoreError(
             f"navigation core {spec.name!r}: its results cannot be filed under this name: a name"
             " has letters, digits and . _ : @ = , + - only, and does not begin with a dot;"
-            f" give it another: --core my-name={source}"
+            " give it another: --core my-name=..."
         )
     return spec
 

@@ -9,9 +9,10 @@ from dict_store import DictStore
 
 from tronlab.errors import ConfigError, ScoreError, TronlabError
 from tronlab.geometry.uncertainty import pose_difference
-from tronlab.nav import cores, localisation, sightings
+from tronlab.nav import installed, localisation, sightings
 from tronlab.nav.core import CoreContext, Frame, NavigationCore, PosePrior
-from tronlab.nav.cores import BUILT_IN_CORES, built_in_identity, is_built_in, known_cores, make_core
+from tronlab.nav.cores import BUILT_IN_CORES, built_in_identity, is_built_in, make_core
+from tronlab.nav.installed import known_cores
 from tronlab.nav.matching.guided_kernel import search_near
 from tronlab.nav.matching.hashing_kernel import look_up
 from tronlab.nav.specs import CoreSpec, parse_core
@@ -177,6 +178,8 @@ def test_identity_follows_settings_that_name_a_file_and_the_code() -> None:
 def test_unknown_core_lists_the_known_ones(context) -> None:
     with pytest.raises(ScoreError, match=r"no navigation core 'sift'; known cores:.*akaze.*brisk"):
         built_in("sift", context)
+    with pytest.raises(ScoreError, match="did you mean akaze-refined"):
+        built_in("akaze-refned", context)
 
 
 def test_built_in_cores_are_entry_points() -> None:
@@ -184,7 +187,7 @@ def test_built_in_cores_are_entry_points() -> None:
 
 
 def test_a_plug_in_is_found_and_is_not_ours(context, monkeypatch) -> None:
-    point = EntryPoint("mine", "tronlab.nav.cores:akaze", cores.ENTRY_POINT_GROUP)
-    monkeypatch.setattr(cores, "entry_points", lambda group: (point,))
+    point = EntryPoint("mine", "tronlab.nav.cores:akaze", installed.ENTRY_POINT_GROUP)
+    monkeypatch.setattr(installed, "entry_points", lambda group: (point,))
     assert built_in("mine", context).name == "akaze"
     assert not is_built_in(parse_core("mine"))

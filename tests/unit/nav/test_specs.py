@@ -31,7 +31,7 @@ def test_every_way_of_naming_a_core(text: str, name: str, kind: str, target: str
         ('cmd:./core "x', "No closing quotation"),
         ("tcp://host", "write tcp://HOST:PORT"),
         ("tcp://host:70000", "port 1 to 65535"),
-        ("cmd:'./my core'", "--core my-name=cmd:'./my core'"),
+        ("cmd:'./my core'", "--core my-name=..."),
         (".hidden", "does not begin with a dot"),
         ("", "cannot be filed under this name"),
     ],

@@ -4,11 +4,11 @@ import importlib
 import traceback
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.metadata import entry_points
 from typing import Any, TypeAlias, cast
 
 from tronlab.errors import ScoreError
 from tronlab.nav.core import CoreContext, NavigationCore
+from tronlab.nav.installed import installed_core
 
 Factory: TypeAlias = Callable[[CoreContext], NavigationCore]
 
@@ -30,7 +30,9 @@ def load_core(text: str) -> HostedCore:
         ScoreError: It cannot be imported, or cannot be called; or no core of that name is
             installed.
     """
-    module, _, attribute = (text if ":" in text else _entry_point(text)).partition(":")
+    # An entry point may name extras, in brackets.
+    named = text if ":" in text else installed_core(text).value.partition("[")[0].strip()
+    module, _, attribute = named.partition(":")
     try:
         found: Any = importlib.import_module(module)
         for name in attribute.split("."):
@@ -41,13 +43,3 @@ def load_core(text: str) -> HostedCore:
     if not callable(found):
         raise ScoreError(f"{text} is a {type(found).__name__}, must be a class or a factory")
     return HostedCore(text, cast(Factory, found), module)
-
-
-def _entry_point(name: str) -> str:
-    from tronlab.nav.cores import ENTRY_POINT_GROUP  # heavy, and needed for names only
-
-    points = {point.name: point.value for point in entry_points(group=ENTRY_POINT_GROUP)}
-    if name not in points:
-        known = ", ".join(sorted(points)) or "none"
-        raise ScoreError(f"no navigation core {name!r} is installed; installed are: {known}")
-    return points[name].partition("[")[0].strip()  # extras stand in brackets
