@@ -2,7 +2,7 @@
 
 import difflib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias, TypeVar
@@ -17,6 +17,8 @@ from tronlab.errors import ConfigError
 
 M = TypeVar("M", bound=BaseModel)
 Location: TypeAlias = tuple[int | str, ...]
+Place: TypeAlias = tuple[Path, Location, int | None]
+"""Where something is written: file, keys as they stand there, line."""
 
 UNITS = {
     "s": "seconds",
@@ -107,16 +109,45 @@ def parse_model(
     Raises:
         ConfigError: As ``load_model``.
     """
-    root = _parse(text, path)
+    root = parse_root(text, path)
+    return validate(
+        root,
+        model,
+        base_dir=path.parent,
+        overridden=overridden,
+        place_of=lambda keys: (path, keys, line_in(root, keys)),
+    )
+
+
+def validate(
+    values: Mapping[str, Any],
+    model: type[M],
+    *,
+    base_dir: Path,
+    place_of: Callable[[Location], Place],
+    overridden: AbstractSet[str] = frozenset(),
+) -> M:
+    """Read values as a model; they keep the type they are written in.
+
+    Args:
+        values: What YAML says.
+        model: What it must be.
+        base_dir: Where relative paths start.
+        place_of: Says where a key of the values is written.
+        overridden: Names of file keys that will not be used and so need not exist.
+
+    Raises:
+        ConfigError: As ``load_model``.
+    """
     # JSON mode is strict about types (no "1" for 1, no true for 1.0) yet reads lists as tuples.
-    as_json = json.dumps(root, default=str)
-    context = {"base_dir": path.parent, "overridden": overridden}
+    as_json = json.dumps(values, default=str)
+    context = {"base_dir": base_dir, "overridden": overridden}
     try:
         return model.model_validate_json(as_json, strict=True, context=context)
     except ValidationError as error:
         schema = model.model_json_schema()
-        problems = [_problem(dict(item), root, schema, path) for item in error.errors()]
-    raise join_errors(sorted(problems, key=lambda problem: problem.line or 0)) from None
+        problems = [_problem(dict(item), values, schema, place_of) for item in error.errors()]
+    raise join_errors(sorted(problems, key=_place_in_files)) from None
 
 
 def parse_mapping(values: Mapping[str, Any], model: type[M], *, key: str) -> M:
@@ -155,16 +186,25 @@ def join_errors(errors: Sequence[ConfigError]) -> ConfigError:
     return joined
 
 
+def _place_in_files(error: ConfigError) -> tuple[str, int]:
+    return str(error.path), error.line or 0
+
+
 def line_of(text: str, location: Location) -> int | None:
     """Give the line, from 1, where a key of YAML text stands; None if it is not there."""
     try:
-        root = _parse(text, Path())
+        root = parse_root(text, Path())
     except ConfigError:
         return None
-    return _locate(root, location)[1]
+    return line_in(root, location)
 
 
-def _parse(text: str, path: Path) -> CommentedMap:
+def parse_root(text: str, path: Path) -> CommentedMap:
+    """Read YAML 1.2 text as keys and values, which know their lines.
+
+    Raises:
+        ConfigError: It is none.
+    """
     try:
         root = YAML(typ="rt", pure=True).load(text)
     except DuplicateKeyError as error:
@@ -189,40 +229,57 @@ def _parse(text: str, path: Path) -> CommentedMap:
 
 
 def _problem(
-    item: dict[str, Any], root: CommentedMap, schema: dict[str, Any], path: Path
+    item: dict[str, Any],
+    values: Mapping[str, Any],
+    schema: dict[str, Any],
+    place_of: Callable[[Location], Place],
 ) -> ConfigError:
     location: Location = item["loc"]
     kind: str = item["type"]
-    keys, line = _locate(root, location)
+    keys = keys_in(values, location)
+    if kind == "union_tag_invalid":
+        keys = (*keys, item["ctx"]["discriminator"].strip("'"))
+    path, keys, line = place_of(keys)
     if kind == "missing":
         keys = (*keys, location[-1])
-    elif kind == "union_tag_invalid":
-        keys, line = _locate(root, (*keys, item["ctx"]["discriminator"].strip("'")))
     message = _MESSAGES.get(kind, _message_of_value)(item, _known_keys(schema, location[:-1]))
     return ConfigError(message, path=path, line=line, key=dotted(keys))
 
 
-def _locate(root: CommentedMap, location: Location) -> tuple[Location, int | None]:
-    """Give those parts of a location that stand in the file, and the line of the last of them.
+def keys_in(values: Mapping[str, Any], location: Location) -> Location:
+    """Give those parts of a location that are there.
 
     pydantic's locations also name the member of a union, which is no key of the file.
     """
-    node: Any = root
+    node: Any = values
     keys: list[int | str] = []
+    for part in location:
+        known = _known_as(part, node)
+        if known is not None:
+            node = node[known]
+            keys.append(part)
+    return tuple(keys)
+
+
+def line_in(root: CommentedMap, location: Location) -> int | None:
+    """Give the line, from 1, of the last part of a location that is there; None if none is."""
+    node: Any = root
     line: int | None = None
     for part in location:
+        key = _known_as(part, node)
+        if key is not None:
+            line = _line(node.lc.data, key, line)
+            node = node[key]
+    return line
+
+
+def _known_as(part: int | str, node: Any) -> Any:
+    """Give the key under which a mapping or a list has a part of a location; None if it has not."""
+    if isinstance(node, Mapping):
         # A key such as 1 is no text in YAML, but is in pydantic's location.
-        known = {str(key): key for key in node} if isinstance(node, CommentedMap) else {}
-        if str(part) in known:
-            key = known[str(part)]
-        elif isinstance(node, CommentedSeq) and isinstance(part, int) and part < len(node):
-            key = part
-        else:
-            continue
-        line = _line(node.lc.data, key, line)
-        node = node[key]
-        keys.append(part)
-    return tuple(keys), line
+        return {str(key): key for key in node}.get(str(part))
+    is_index = isinstance(node, CommentedSeq) and isinstance(part, int) and part < len(node)
+    return part if is_index else None
 
 
 def _line(marks: dict[int | str, Any] | None, part: int | str, default: int | None) -> int | None:

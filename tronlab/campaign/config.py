@@ -10,15 +10,8 @@ from pydantic import AfterValidator, Field, ValidationInfo, model_validator
 from tronlab.errors import ConfigError
 from tronlab.render.settings import RaysPerPixel, RenderedImages
 from tronlab.trajectory.config import TrajectoryConfig
-from tronlab.yaml_models import (
-    ExistingFile,
-    Model,
-    dotted,
-    existing_file,
-    line_of,
-    parse_model,
-    read_text,
-)
+from tronlab.yaml_models import ExistingFile, Model, existing_file
+from tronlab.yaml_variants import Document, read_document
 
 
 def _calibration_file(value: Path, info: ValidationInfo) -> Path:
@@ -36,8 +29,12 @@ NotifyEvent: TypeAlias = Literal["begun", "suspended", "resumed", "done", "abort
 class DatabaseConfig(RenderedImages):
     """The reference views that navigation cores build their database from."""
 
-    n_views: Annotated[int, Field(ge=1)] = 11
-    """Number of nominal poses to render, equally spaced in the trajectory, both ends included."""
+    trajectory: TrajectoryConfig | None = None
+    """Where the reference views are rendered from, if not from poses of the campaign's own
+    trajectory."""
+    n_views: Annotated[int, Field(ge=1)] | None = 11
+    """Number of poses of the trajectory to render, equally spaced in it, both ends included; null:
+    all."""
     rays_per_pixel: RaysPerPixel = 4
     """Rays cast through a pixel: 1 is faster, 4 has smooth edges."""
 
@@ -249,6 +246,9 @@ class PlanConfig(Model):
     """Greatest part of the visible model that the robot keeps the lamp from."""
     order: Literal["trajectory", "least_motion"] = "trajectory"
     """Take the shots as the trajectory has them, or in the order that takes least time to move."""
+    every_n: Annotated[int, Field(ge=1, le=100_000)] = 1
+    """Plan only every so many poses of the trajectory, the first one included; shots keep the
+    numbers they have in the whole of it."""
     on_refused: Literal["stop", "skip"] = "stop"
     """What a run does about shots that the plan refuses: do not begin, or leave them out."""
 
@@ -321,19 +321,32 @@ class Campaign:
     """A campaign file that was read."""
 
     config: CampaignConfig
-    path: Path
-    text: str
-    """The file as it is written, for provenance."""
+    document: Document
+    """The file, and those it extends."""
 
     @property
     def name(self) -> str:
         """Get the name of the campaign."""
         return self.config.name
 
+    @property
+    def path(self) -> Path:
+        """Get the path of the file."""
+        return self.document.path
+
+    @property
+    def text(self) -> str:
+        """Get the file as it is written."""
+        return self.document.text
+
+    @property
+    def whole_text(self) -> str:
+        """Get everything that was read, for provenance."""
+        return self.document.whole_text
+
     def error(self, message: str, *location: int | str) -> ConfigError:
-        """Make an error about a key of this file, with its line."""
-        line = line_of(self.text, location)
-        return ConfigError(message, path=self.path, line=line, key=dotted(location))
+        """Make an error about a key, with the file and the line it stands in."""
+        return self.document.error(message, *location)
 
 
 def load_campaign(path: Path, *, overridden: AbstractSet[str] = frozenset()) -> Campaign:
@@ -347,6 +360,6 @@ def load_campaign(path: Path, *, overridden: AbstractSet[str] = frozenset()) -> 
     Raises:
         ConfigError: It cannot be read, or says something that cannot be.
     """
-    text = read_text(path)
-    config = parse_model(text, CampaignConfig, path=path, overridden=overridden)
-    return Campaign(config=config, path=path, text=text)
+    document = read_document(path)
+    config = document.read_as(CampaignConfig, overridden=overridden)
+    return Campaign(config=config, document=document)

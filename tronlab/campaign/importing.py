@@ -208,10 +208,12 @@ def _range_los_m(shot: ForeignShot, model: _Model | None) -> float:
             f"{shot.where}: shot {shot.shot_id}: no range_los_m, and errors are per cent of it;"
             " fill that column, or name the rig whose terrain the images show: --rig RIG.yaml"
         )
-    range_m = range_los_m(model.renderer, shot.trs_from_cam)
+    range_m = range_los_m(
+        model.renderer, shot.trs_from_cam, ground_trs_m=model.heightmap.mean_height_trs_m
+    )
     if not np.isfinite(range_m):
         raise DatasetError(
-            f"{shot.where}: shot {shot.shot_id}: its optical axis misses the terrain of"
+            f"{shot.where}: shot {shot.shot_id}: its optical axis does not meet the ground of"
             f" {model.rig.path}; are the poses in that terrain's frame (F_TRS), camera z forward?"
         )
     return range_m
@@ -254,7 +256,7 @@ def _views(
 
 def _reference_poses(foreign: ForeignSet, live: Live) -> list[RigidTransform]:
     n_shots = len(foreign.shots)
-    n_views = min(DatabaseConfig().n_views, n_shots)
+    n_views = min(DatabaseConfig().n_views or n_shots, n_shots)
     chosen = [foreign.shots[i] for i in database_indices(n_shots, n_views=n_views)]
     if any(shot.planned_trs_from_cam is None for shot in chosen):
         live.announce(

@@ -1,8 +1,11 @@
 """Everything a run reads from files, checked against each other before a device is asked."""
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+
+from scipy.spatial.transform import RigidTransform
 
 from tronlab.calib.record import CalibrationRecord
 from tronlab.campaign.acceptance import Acceptance
@@ -42,17 +45,14 @@ class Job:
     calibration_text: str
     plan: Plan
     """All shots, in the order of the trajectory."""
+    reference_poses: tuple[RigidTransform, ...]
+    """``trs_from_cam`` of the reference views."""
     seed: int
 
     @property
     def lamp(self) -> Lamp:
         """Get the lamp where it was measured, of intensity 1."""
         return lamp_as_designed(self.rig.config.laboratory.lamp, self.calibration.p_lamp_trs_m)
-
-    @property
-    def reference_indices(self) -> tuple[int, ...]:
-        """Get which of the plan's poses the reference views are rendered at."""
-        return database_indices(len(self.plan.shots), n_views=self.campaign.config.database.n_views)
 
 
 def read_job(files: Files, *, seed: int | None, acceptance: Acceptance) -> Job:
@@ -80,20 +80,18 @@ def read_job(files: Files, *, seed: int | None, acceptance: Acceptance) -> Job:
     acceptance.let_pass(lambda: calibration.check_rig(rig.name))
     acceptance.let_pass(calibration.check_validity)
     _check_image_size(calibration, rig)
-    plan = make_plan(
-        camera_poses(campaign.config.trajectory),
-        mounting=calibration.mounting(rig.config.laboratory.mounting),
-    )
     _check_cores(campaign)
     _check_renderers(campaign, rig)
-    _check_references(campaign, len(plan.shots))
+    poses = camera_poses(campaign.config.trajectory)
+    plan = make_plan(poses, mounting=calibration.mounting(rig.config.laboratory.mounting))
     return Job(
         campaign=campaign,
         rig=rig,
         calibration=calibration,
         calibration_path=calibration_path,
         calibration_text=calibration_text,
-        plan=plan,
+        plan=plan.every(campaign.config.plan.every_n),
+        reference_poses=_reference_poses(campaign, poses),
         seed=campaign.config.seed if seed is None else seed,
     )
 
@@ -160,11 +158,18 @@ def _check_renderers(campaign: Campaign, rig: Rig) -> None:
         raise rig.error(str(error), "world", "surface", "renderer") from None
 
 
-def _check_references(campaign: Campaign, n_poses: int) -> None:
+def _reference_poses(
+    campaign: Campaign, poses: Sequence[RigidTransform]
+) -> tuple[RigidTransform, ...]:
+    """Choose the poses of the reference views: by default of the campaign's own trajectory."""
+    database = campaign.config.database
+    if database.trajectory is not None:
+        poses = camera_poses(database.trajectory)
     try:
-        database_indices(n_poses, n_views=campaign.config.database.n_views)
+        chosen = database_indices(len(poses), n_views=database.n_views or len(poses))
     except PlanError as error:
         raise campaign.error(str(error), "database", "n_views") from None
+    return tuple(poses[i] for i in chosen)
 
 
 def _check_image_size(calibration: CalibrationRecord, rig: Rig) -> None:

@@ -3,16 +3,12 @@
 Only the sections needed are read: files of another version may have others that are unknown here.
 """
 
-import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
-
 from tronlab.campaign.config import DatabaseConfig
-from tronlab.campaign.rig import EXTENDS_MARK, load_rig
+from tronlab.campaign.rig import load_rig
 from tronlab.dataset.records import Provenance
 from tronlab.devices.laboratory import LampSpec
 from tronlab.errors import ConfigError
@@ -21,6 +17,7 @@ from tronlab.render.renderer import Lamp, lamp_as_designed
 from tronlab.terrain.config import TerrainConfig
 from tronlab.terrain.heightmap import HeightMap
 from tronlab.yaml_models import Model, parse_mapping
+from tronlab.yaml_variants import recorded_values
 
 
 class _TerrainSection(Model):
@@ -32,13 +29,14 @@ class _LampSection(Model):
 
 
 def recorded_database(provenance: Provenance) -> DatabaseConfig:
-    """Give how the reference views of a dataset were rendered.
+    """Give how the reference views of a dataset were rendered; where from is in the dataset.
 
     Raises:
         ConfigError: The recorded campaign says something else than this version knows.
     """
-    section = _section(provenance.campaign_yaml, "database", where="the recorded campaign")
-    return parse_mapping(section or {}, DatabaseConfig, key="database")
+    section = _section(provenance.campaign_yaml, "database", where="the recorded campaign") or {}
+    how = {key: value for key, value in section.items() if key != "trajectory"}
+    return parse_mapping(how, DatabaseConfig, key="database")
 
 
 def recorded_lamp(provenance: Provenance, p_lamp_trs_m: FloatArray) -> Lamp:
@@ -51,8 +49,8 @@ def recorded_lamp(provenance: Provenance, p_lamp_trs_m: FloatArray) -> Lamp:
     Raises:
         ConfigError: The recorded rig says something else than this version knows.
     """
-    laboratory = _section_of_rig(provenance.rig_yaml, "laboratory")
-    lamp = laboratory.get("lamp") if isinstance(laboratory, dict) else None
+    laboratory = _section(provenance.rig_yaml, "laboratory", where="the recorded rig")
+    lamp = laboratory.get("lamp") if isinstance(laboratory, Mapping) else None
     spec = parse_mapping({"lamp": lamp}, _LampSection, key="laboratory").lamp
     return lamp_as_designed(spec, p_lamp_trs_m)
 
@@ -83,43 +81,33 @@ def recorded_heightmap(
                 key="terrain",
             )
         return rig.load_heightmap(announce)
-    file = recorded.albedo_map if recorded.kind == "procedural" else recorded.path
-    if file is not None:
+    if recorded.files:
         raise ConfigError(
-            f"the dataset was recorded with a terrain from the file {file.name};"
+            f"the dataset was recorded with a terrain from the file {recorded.files[0].name};"
             " name the rig file that leads to it: --rig RIG.yaml"
         )
     return load_terrain(recorded, base_dir=Path(), announce=announce)
 
 
 def recorded_terrain(rig_yaml: str) -> TerrainConfig:
-    """Give the terrain of a recorded rig: a variant's own, else that of the rig it extends.
+    """Give the terrain of a recorded rig.
 
     Raises:
         ConfigError: There is none, or not one that this version knows.
     """
-    section = _section_of_rig(rig_yaml, "terrain")
+    section = _section(rig_yaml, "terrain", where="the recorded rig")
     if section is None:
         raise ConfigError("the recorded rig has no terrain; name the rig file: --rig RIG.yaml")
     return parse_mapping({"terrain": section}, _TerrainSection, key="rig").terrain
 
 
-def _section_of_rig(rig_yaml: str, name: str) -> Any:
-    """Give a section of a recorded rig: a variant's own, else that of the rig it extends."""
-    sections = (
-        _section(text, name, where="the recorded rig")
-        for text in re.split(rf"{EXTENDS_MARK}.*\n", rig_yaml)
-    )
-    return next((section for section in sections if section is not None), None)
-
-
-def _section(text: str, name: str, *, where: str) -> Any:
+def _section(whole_text: str, name: str, *, where: str) -> Any:
     try:
-        root = YAML(typ="safe", pure=True).load(text)
-    except YAMLError as error:
+        return recorded_values(whole_text).get(name)
+    except ConfigError as error:
         raise ConfigError(f"{where} is no YAML: {error}") from error
-    return root.get(name) if isinstance(root, dict) else None
 
 
 def _heights_of(terrain: TerrainConfig) -> dict[str, Any]:
-    return terrain.model_dump(mode="json", exclude={"path", "albedo_map"})
+    names = {"path", "albedo_map"}
+    return terrain.model_dump(mode="json", exclude={**dict.fromkeys(names, True), "of": names})

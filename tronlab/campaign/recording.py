@@ -260,7 +260,7 @@ def provenance_of(assignment: Assignment, session: Session) -> Provenance:
     job = assignment.job
     return Provenance(
         campaign_name=job.campaign.name,
-        campaign_yaml=job.campaign.text,
+        campaign_yaml=job.campaign.whole_text,
         rig_name=job.rig.name,
         rig_yaml=job.rig.whole_text,
         calibration_json=job.calibration_text,
@@ -278,9 +278,9 @@ def _references(assignment: Assignment, live: Live) -> tuple[ReferenceView, ...]
     job, foresight = assignment.job, assignment.foresight
     config = job.campaign.config.database
     live.announce("renderer: getting ready; its first use after an installation compiles")
-    live.advance("reference views", n_done=0, n_all=len(job.reference_indices))
+    live.advance("reference views", n_done=0, n_all=len(job.reference_poses))
     return render_references(
-        [job.plan.shots[i].trs_from_cam_nominal for i in job.reference_indices],
+        job.reference_poses,
         heightmap=foresight.heightmap,
         renderer=database_renderer(
             config, foresight.heightmap, at_hand=foresight.renderer, announce=live.announce

@@ -92,15 +92,15 @@ def poses_of(job: Job, shot_ids: Sequence[int] | None) -> dict[int, RigidTransfo
     missing = [str(shot_id) for shot_id in shot_ids if shot_id not in poses]
     if missing:
         raise ConfigError(
-            f"--shots: the campaign has no shot {', '.join(missing)}; it has 1 to {len(poses)}"
+            f"--shots: the campaign has no shot {', '.join(missing)}; it has {min(poses)} to"
+            f" {max(poses)}"
         )
     return {shot_id: poses[shot_id] for shot_id in shot_ids}
 
 
 def database_poses(job: Job) -> dict[int, RigidTransform]:
     """Give the poses of the reference views, by the numbers they have in a dataset."""
-    shots = [job.plan.shots[i] for i in job.reference_indices]
-    return {i: shot.trs_from_cam_nominal for i, shot in enumerate(shots, start=1)}
+    return dict(enumerate(job.reference_poses, start=1))
 
 
 def render_scene(

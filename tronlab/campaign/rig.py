@@ -17,13 +17,11 @@ from tronlab.errors import ConfigError
 from tronlab.terrain.config import TerrainConfig
 from tronlab.terrain.heightmap import HeightMap
 from tronlab.twin.config import WorldConfig
-from tronlab.yaml_models import ExistingFile, Model, join_errors, line_of, parse_model, read_text
+from tronlab.yaml_models import Model, join_errors
+from tronlab.yaml_variants import Document, read_document
 
 if TYPE_CHECKING:
     from tronlab.twin.world import WorldSetup
-
-EXTENDS_MARK = "\n# --- extends: "
-"""Begins the line between a rig file's text and that of the one it extends."""
 
 
 class DeviceConfig(Model):
@@ -75,44 +73,33 @@ class RigConfig(Model):
     """The simulated laboratory behind twin devices; a rig of hardware has none."""
 
 
-class RigVariant(Model):
-    """A rig file that takes another one and replaces whole sections of it."""
-
-    extends: ExistingFile
-    """The other rig file, relative to this one."""
-    name: RigName | None = None
-    """Name of the rig, if it is another one: calibration records are made for one name."""
-    laboratory: LaboratorySpec | None = None
-    """Instead of the other file's, whole; likewise all sections below."""
-    terrain: TerrainConfig | None = None
-    devices: DevicesConfig | None = None
-    calibration: CalibrationConfig | None = None
-    cell: CellSpec | None = None
-    world: WorldConfig | None = None
-
-
 @dataclass(frozen=True)
 class Rig:
     """A rig file that was read."""
 
     config: RigConfig
-    path: Path
-    text: str
-    """The file as it is written."""
-    extended: "Rig | None" = None
-    """The rig whose sections it takes over, if it is a variant of one."""
+    document: Document
+    """The file, and those it extends."""
+
+    @property
+    def path(self) -> Path:
+        """Get the path of the file."""
+        return self.document.path
+
+    @property
+    def text(self) -> str:
+        """Get the file as it is written."""
+        return self.document.text
+
+    @property
+    def whole_text(self) -> str:
+        """Get everything that was read, for provenance."""
+        return self.document.whole_text
 
     @property
     def name(self) -> str:
         """Get the name of the rig."""
         return self.config.name
-
-    @property
-    def whole_text(self) -> str:
-        """Get everything that was read, for provenance."""
-        if self.extended is None:
-            return self.text
-        return f"{self.text}{EXTENDS_MARK}{self.extended.path.name}\n{self.extended.whole_text}"
 
     def load_heightmap(self, announce: Callable[[str], None] | None = None) -> HeightMap:
         """Make or read the terrain model; ``announce`` is told of slow steps.
@@ -120,7 +107,7 @@ class Rig:
         Raises:
             TerrainError: Its file cannot be read or makes no sense.
         """
-        return self._load_terrain(self.config.terrain, "terrain", announce)
+        return self._load_terrain(self.config.terrain, announce)
 
     def open_devices(
         self,
@@ -173,7 +160,7 @@ class Rig:
             options=config.options,
             seed=seed,
             world=world,
-            base_dir=self.home_of("devices").path.parent,
+            base_dir=self.path.parent,
             session=session,
             shared={} if shared is None else shared,
         )
@@ -193,7 +180,7 @@ class Rig:
         from tronlab.twin.world import WorldSetup
 
         if world.terrain is not None:
-            load_heightmap = partial(self._load_terrain, world.terrain, "world")
+            load_heightmap = partial(self._load_terrain, world.terrain)
         return WorldSetup(
             config=world,
             laboratory=self.config.laboratory,
@@ -203,14 +190,12 @@ class Rig:
     def _load_terrain(
         self,
         terrain: TerrainConfig,
-        section: str,
         announce: Callable[[str], None] | None = None,
     ) -> HeightMap:
         """Make or read a terrain that a section of the file describes."""
         from tronlab.terrain.load import load_terrain
 
-        base_dir = self.home_of(section).path.parent
-        return load_terrain(terrain, base_dir=base_dir, announce=announce)
+        return load_terrain(terrain, base_dir=self.path.parent, announce=announce)
 
     def _placed(self, error: ConfigError, kind: str) -> ConfigError:
         """Say where in the rig file a driver's complaint belongs."""
@@ -222,15 +207,7 @@ class Rig:
 
     def error(self, message: str, *key: str) -> ConfigError:
         """Make an error that names file, line and key."""
-        home = self.home_of(key[0])
-        return ConfigError(message, path=home.path, line=line_of(home.text, key), key=".".join(key))
-
-    def home_of(self, section: str) -> "Rig":
-        """Give the rig file that a section stands in: this one, or one that it extends."""
-        extended = self.extended
-        if extended and getattr(self.config, section) is getattr(extended.config, section):
-            return extended.home_of(section)
-        return self
+        return self.document.error(message, *key)
 
 
 def load_rig(path: Path) -> Rig:
@@ -239,27 +216,5 @@ def load_rig(path: Path) -> Rig:
     Raises:
         ConfigError: It cannot be read, or says something that cannot be.
     """
-    return _load_rig(path, variants=())
-
-
-def _load_rig(path: Path, *, variants: tuple[Path, ...]) -> Rig:
-    """Read a rig file; ``variants`` are the files that extend it."""
-    text = read_text(path)
-    if "extends" not in text or line_of(text, ("extends",)) is None:  # parsing takes a while
-        return Rig(config=parse_model(text, RigConfig, path=path), path=path, text=text)
-    variant = parse_model(text, RigVariant, path=path)
-    if variant.extends.resolve() in (*variants, path.resolve()):
-        raise ConfigError(
-            f"the file extends itself by way of {variant.extends}",
-            path=path,
-            line=line_of(text, ("extends",)),
-            key="extends",
-        )
-    extended = _load_rig(variant.extends, variants=(*variants, path.resolve()))
-    replaced = {
-        name: getattr(variant, name)
-        for name in RigConfig.model_fields
-        if getattr(variant, name) is not None
-    }
-    config = extended.config.model_copy(update=replaced)
-    return Rig(config=config, path=path, text=text, extended=extended)
+    document = read_document(path)
+    return Rig(config=document.read_as(RigConfig), document=document)

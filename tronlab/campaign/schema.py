@@ -11,19 +11,38 @@ from typing import Any
 from pydantic import BaseModel
 
 from tronlab.campaign.config import CampaignConfig
-from tronlab.campaign.rig import RigConfig, RigVariant
+from tronlab.campaign.rig import RigConfig
 from tronlab.nav.settings import PRESETS, FeatureCoreSettings
 from tronlab.score.sweep import Sweep
+from tronlab.yaml_variants import CHANGES, EXTENDS
 
 MODELS: Mapping[str, type[BaseModel]] = {
     "campaign": CampaignConfig,
     "rig": RigConfig,
-    "rig-variant": RigVariant,
     "sweep": Sweep,
 }
+VARIANTS = ("campaign", "rig")
+"""Files that may extend another one of their kind."""
 SCHEMA_DIR = Path("campaigns/schema")
 CAMPAIGN_PAGE = Path("docs/reference/campaign.md")
 SWEEP_PAGE = Path("docs/reference/sweep.md")
+_VARIANT = (
+    "A campaign or rig file with the key `extends` takes over everything from another one. A key of"
+    " its own, such as `name` or a whole section, replaces the other's; `changes` reaches deeper."
+    " The other file may extend a third one. A relative path starts from the file it is written in."
+)
+_EXTENDS = "The other file of the same kind, relative to this one."
+_CHANGES = (
+    "Keys, nested as in the other file, with the values they get instead; the others of their"
+    " sections stay. Lists are replaced whole, and so is a section that gets another `kind`."
+)
+_VARIANT_EXAMPLE = """```yaml
+extends: straight_line.yaml
+name: dim                               # replaces the name
+changes:
+  camera: {exposure_s: 0.01}            # the rest of the section camera stays
+  trajectory: {n_points: 13}
+```"""
 _WORDS = {"object": "section"}
 _ANY = {"array": "[]", "object": ".NAME"}
 _LIMITS = {
@@ -36,9 +55,11 @@ _LIMITS = {
 
 def generated_files() -> dict[Path, str]:
     """Give every generated file, by its path in a source checkout."""
+    schemas = {name: schema_of(model) for name, model in MODELS.items()}
+    schemas |= {f"{name}-variant": _variant_schema(schemas[name]) for name in VARIANTS}
     files = {
-        SCHEMA_DIR / f"{name}.schema.json": json.dumps(_schema(model), indent=2) + "\n"
-        for name, model in MODELS.items()
+        SCHEMA_DIR / f"{name}.schema.json": json.dumps(schema, indent=2) + "\n"
+        for name, schema in schemas.items()
     }
     files[CAMPAIGN_PAGE] = "\n".join(_campaign_page()) + "\n"
     files[SWEEP_PAGE] = "\n".join(_sweep_page()) + "\n"
@@ -52,27 +73,60 @@ def write_generated_files(checkout: Path) -> None:
         (checkout / path).write_text(text, encoding="utf-8")
 
 
-def _schema(model: type[BaseModel]) -> dict[str, Any]:
+def schema_of(model: type[BaseModel]) -> dict[str, Any]:
+    """Give the JSON schema of a file."""
     schema = model.model_json_schema()
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 
 
+def _variant_schema(schema: Mapping[str, Any]) -> dict[str, Any]:
+    """Give the schema of a file that extends another one: it may leave out whatever it likes."""
+    variant = _with_nothing_required(schema)
+    properties = variant["properties"]
+    changes = {
+        "description": _CHANGES,
+        "type": "object",
+        "properties": properties,
+        "additionalProperties": False,
+    }
+    extends = {"description": _EXTENDS, "type": "string", "format": "path"}
+    return {
+        **variant,
+        "description": _VARIANT,
+        "properties": {EXTENDS: extends, **properties, CHANGES: changes},
+        "required": [EXTENDS],
+    }
+
+
+def _with_nothing_required(node: Any) -> Any:
+    if isinstance(node, list):
+        return [_with_nothing_required(item) for item in node]  # pyright: ignore[reportUnknownVariableType]
+    if not isinstance(node, Mapping):
+        return node
+    # Without their kind, the members of a union cannot be told apart: one of them is enough.
+    names = {"oneOf": "anyOf"}
+    return {
+        names.get(key, key): _with_nothing_required(value)
+        for key, value in node.items()
+        if not (key == "required" and isinstance(value, list))
+    }
+
+
 def _campaign_page() -> Iterator[str]:
-    yield from _head("Campaign and rig files: all keys")
-    # A variant of a rig has a rig's keys.
-    yield from _section("Campaign file", CampaignConfig)
-    yield from _section("Rig file", RigConfig)
-    yield ""
-    yield (
-        "A rig file with the key `extends` takes over the rig file named there and replaces the"
-        " sections it has itself, whole."
-    )
+    yield from page_head("Campaign and rig files: all keys")
+    yield from page_section("Campaign file", CampaignConfig)
+    yield from page_section("Rig file", RigConfig)
+    yield from ("", "## Files that extend others", "", _VARIANT, "")
+    yield from ("| key | type | default | |", "|---|---|---|---|")
+    yield f"| `{EXTENDS}` | file | required | {_EXTENDS} |"
+    yield f"| `{CHANGES}` | section | | {_CHANGES} |"
+    yield from ("", _VARIANT_EXAMPLE)
 
 
 def _sweep_page() -> Iterator[str]:
-    yield from _head("Sweep files, and the settings of the built-in cores: all keys")
-    yield from _section("Sweep file", Sweep)
-    yield from _section("Settings of the built-in cores", FeatureCoreSettings)
+    yield from page_head("Sweep files, and the settings of the built-in cores: all keys")
+    yield from page_section("Sweep file", Sweep)
+    yield from page_section("Settings of the built-in cores", FeatureCoreSettings)
     yield from ("", "The built-in cores differ from these defaults by:", "")
     yield from ("| core | |", "|---|---|")
     defaults = _flat(FeatureCoreSettings().model_dump(mode="json"))
@@ -82,14 +136,16 @@ def _sweep_page() -> Iterator[str]:
         yield f"| `{name}` | {', '.join(changes)} |"
 
 
-def _head(title: str) -> Iterator[str]:
+def page_head(title: str, *, made_by: str = "tronlab.campaign.schema") -> Iterator[str]:
+    """Give the first lines of a generated page of keys."""
     yield from (f"# {title}", "")
-    yield "Generated from the models by `python -m tronlab.campaign.schema`; do not edit."
+    yield f"Generated from the models by `python -m {made_by}`; do not edit."
     yield "Lengths in metres, times in seconds, angles in degrees: the end of a key says which."
 
 
-def _section(title: str, model: type[BaseModel]) -> Iterator[str]:
-    schema = _schema(model)
+def page_section(title: str, model: type[BaseModel]) -> Iterator[str]:
+    """Give the table of a model's keys."""
+    schema = schema_of(model)
     yield from ("", f"## {title}", "")
     yield from ("| key | type | default | |", "|---|---|---|---|")
     yield from _rows(schema, schema, prefix="")
@@ -128,6 +184,8 @@ def _members(field: Mapping[str, Any], schema: Mapping[str, Any]) -> dict[str, M
             return {tag: _resolved(reference, schema) for tag, reference in mapping.items()}
     named = field.get("additionalProperties")
     named = named if isinstance(named, dict) else {}
+    # Keys that must look like names.
+    named = next(iter(field.get("patternProperties", {}).values()), named)
     below = (field.get("items", {}), *field.get("anyOf", ()), named, *named.get("anyOf", ()))
     candidates = [field, *below]
     references = [c["$ref"] for c in candidates if "$ref" in c]

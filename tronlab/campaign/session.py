@@ -1,20 +1,15 @@
 """A session: one time that somebody records into a dataset, and what changed since the last."""
 
 import os
-import re
 import socket
 from collections.abc import Iterator, Mapping
-from typing import Any
-
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
 
 from tronlab.campaign.continuation import Recorded
 from tronlab.campaign.job import Job
-from tronlab.campaign.rig import EXTENDS_MARK
 from tronlab.dataset.records import Session, SessionKind
 from tronlab.dataset.skeleton import utc_now
 from tronlab.errors import ChangedError
+from tronlab.yaml_variants import recorded_values
 
 _HARMLESS = frozenset({"title", "score", "plan", "retry", "suspend", "recording", "notify"})
 """Sections of a campaign file that a shot looks the same without."""
@@ -42,7 +37,7 @@ def new_session(
         campaign_path=str(job.campaign.path.absolute()),
         rig_path=str(job.rig.path.absolute()),
         calibration_path=str(job.calibration_path.absolute()),
-        campaign_yaml=job.campaign.text,
+        campaign_yaml=job.campaign.whole_text,
         rig_yaml=job.rig.whole_text,
         calibration_json=job.calibration_text,
         plan_sha256=job.plan.sha256,
@@ -98,30 +93,14 @@ def refuse_other_images(recorded: Recorded, job: Job) -> None:
 def _changes(last: Session, job: Job) -> Iterator[str]:
     if last.plan_sha256 != job.plan.sha256:
         yield "the plan (poses of the shots, or the mounting they follow from)"
-    if last.campaign_yaml != job.campaign.text:
-        before, now = _sections(last.campaign_yaml), _sections(job.campaign.text)
+    campaign_yaml, rig_yaml = job.campaign.whole_text, job.rig.whole_text
+    if last.campaign_yaml != campaign_yaml:
+        before, now = recorded_values(last.campaign_yaml), recorded_values(campaign_yaml)
         for name in sorted((before.keys() | now.keys()) - _HARMLESS - _COMPARED_BY_CONTENT):
             if before.get(name) != now.get(name):
                 yield f"{name} of the campaign"
-    rig_yaml = job.rig.whole_text
-    if last.rig_yaml != rig_yaml and _documents(last.rig_yaml) != _documents(rig_yaml):
+    # Comments and the way the keys are spread over files that extend each other do not count.
+    if last.rig_yaml != rig_yaml and recorded_values(last.rig_yaml) != recorded_values(rig_yaml):
         yield f"the rig ({job.rig.path})"
     if last.calibration_json != job.calibration_text:
         yield f"the calibration record ({job.calibration.source})"
-
-
-def _sections(campaign_yaml: str) -> dict[str, Any]:
-    document = _document(campaign_yaml)
-    return document if isinstance(document, dict) else {}
-
-
-def _documents(rig_yaml: str) -> list[Any]:
-    """Give what a rig file and those it extends say, without their comments."""
-    return [_document(text) for text in re.split(rf"{EXTENDS_MARK}.*\n", rig_yaml)]
-
-
-def _document(text: str) -> Any:
-    try:
-        return YAML(typ="safe", pure=True).load(text)
-    except YAMLError:
-        return text

@@ -63,7 +63,9 @@ class TruthSource:
         truth = Truth(
             trs_from_cam=trs_from_cam,
             covariance=covariance,
-            range_los_m=range_los_m(self.range_finder, trs_from_cam),
+            range_los_m=range_los_m(
+                self.range_finder, trs_from_cam, ground_trs_m=self.heightmap.mean_height_trs_m
+            ),
             usable_fraction=float(mask.mean()),
         )
         return truth, mask

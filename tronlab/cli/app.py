@@ -22,7 +22,9 @@ from tronlab.cli.report import report
 from tronlab.cli.rig import rig
 from tronlab.cli.run import run
 from tronlab.cli.score import score
+from tronlab.cli.study import study
 from tronlab.cli.terrain import terrain
+from tronlab.cli.trajectory import trajectory
 from tronlab.cli.twin import twin
 from tronlab.errors import TronlabError
 
@@ -33,7 +35,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Test campaigns for optical navigation: plan, run, score and report.",
 )
-for command in (demo, plan, render, run, score, report, compare, budget):
+for command in (demo, plan, trajectory, render, run, score, report, compare, study, budget):
     app.command()(command)
 app.add_typer(calibrate, name="calibrate")
 app.add_typer(database, name="database")

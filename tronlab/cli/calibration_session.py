@@ -1,7 +1,7 @@
 """Measuring at a rig, or reading files: from a command's arguments to a saved record."""
 
 import sys
-from collections.abc import Generator, Mapping
+from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -24,10 +24,6 @@ if TYPE_CHECKING:
     from tronlab.calib.record import CalibrationRecord
     from tronlab.calib.wizard import Dialogue
     from tronlab.campaign.rig import Rig
-    from tronlab.devices.laboratory import LaboratorySpec, MountingSpec
-    from tronlab.devices.mounting import Mounting
-    from tronlab.devices.readings import DeviceIdentity
-    from tronlab.devices.registry import Devices
 
 
 def measure_all(rig_path: Path, record: Path | None, *, yes: bool, seed: int, force: bool) -> None:
@@ -74,8 +70,9 @@ def solve_files(path: Path, rig_name: str, **parts: Any) -> None:
         CalibrationError: The record is another rig's, or what was read determines no answer.
     """
     from tronlab.calib.solve import solve
+    from tronlab.campaign.calibrating import draft_of
 
-    draft = _draft(rig_name, load_existing(path, rig_name), {}, valid_days=None)
+    draft = draft_of(rig_name, load_existing(path, rig_name), {}, valid_days=None)
     inputs = draft.inputs.with_parts(**parts)
     finish(replace(draft, inputs=inputs, results=solve(inputs)), path)
 
@@ -121,41 +118,13 @@ def _measure(
     seed: int,
     keep: Keep,
 ) -> "CalibrationRecord":
-    from tronlab.calib.wizard import Bench, calibrate, devices_needed
-    from tronlab.devices.registry import connected
+    from tronlab.campaign.calibrating import NotReadyToMeasureError, measure_parts
 
-    # A session of its own for each set of parts: simulated devices then measure with other noise.
-    devices = rig.open_devices(seed, session=f"calibration of {', '.join(parts)}")
-    needed = devices_needed(parts)
-    with _dialogue(yes=yes) as dialogue, connected(devices, needed):
-        draft = _draft(
-            rig.name,
-            before,
-            _identities(parts, devices),
-            valid_days=rig.config.calibration.valid_days,
-        )
-        laboratory = rig.config.laboratory
-        if not _is_ready(dialogue, parts, laboratory, is_moving="robot" in needed):
-            raise typer.Abort
-        bench = Bench(devices, laboratory, dialogue, _mounting(before, laboratory.mounting))
-        return calibrate(parts, bench, draft, keep=keep)
-
-
-def _is_ready(
-    dialogue: "Dialogue",
-    parts: "tuple[PartName, ...]",
-    laboratory: "LaboratorySpec",
-    *,
-    is_moving: bool,
-) -> bool:
-    """Say what must be prepared, and ask whether it is."""
-    if {"frame", "lamp", "robot"}.intersection(parts):
-        targets = [*laboratory.reflectors.points_m, *(["lamp"] if "lamp" in parts else [])]
-        dialogue.announce(
-            f"Seat the reflectors: {', '.join(targets)}; keep the tracker's beam free."
-        )
-    move = "The robot will move; you are asked before each move. " if is_moving else ""
-    return dialogue.confirm(f"{move}Go on?")
+    with _dialogue(yes=yes) as dialogue:
+        try:
+            return measure_parts(parts, rig, before, dialogue=dialogue, seed=seed, keep=keep)
+        except NotReadyToMeasureError:
+            raise typer.Abort from None
 
 
 @contextmanager
@@ -169,57 +138,3 @@ def _dialogue(*, yes: bool) -> "Generator[Dialogue]":
         return
     with open_live(sys.stderr) as live:
         yield Unattended(live)
-
-
-def _identities(parts: "tuple[PartName, ...]", devices: "Devices") -> "dict[str, DeviceIdentity]":
-    """Ask the devices that a record is bound to, as far as these parts use them."""
-    identities: dict[str, DeviceIdentity] = {}
-    if {"intrinsics", "hand_eye"}.intersection(parts):
-        identities["camera"] = devices.camera.identify()
-    if set(parts) != {"intrinsics"}:
-        identities["tracker"] = devices.tracker.identify()
-    if {"robot", "hand_eye"}.intersection(parts):
-        identities["tmac"] = devices.tracker.identify_target()
-    return identities
-
-
-def _draft(
-    rig_name: str,
-    before: "CalibrationRecord | None",
-    identities: "Mapping[str, DeviceIdentity]",
-    *,
-    valid_days: float | None,
-) -> "CalibrationRecord":
-    """Give the record to be, without results: that of before, if its devices are still the same.
-
-    Raises:
-        CalibrationError: A device was exchanged since.
-    """
-    from datetime import UTC, datetime
-
-    from tronlab.calib.inputs import Inputs
-    from tronlab.calib.record import CalibrationRecord
-    from tronlab.calib.results import Results
-    from tronlab.campaign.provenance import software_versions
-
-    devices = dict(identities)
-    if before is not None:
-        used_before = {name: one for name, one in before.devices.items() if name in identities}
-        replace(before, devices=used_before).check_devices(identities)
-        devices = {**before.devices, **identities}
-    return CalibrationRecord(
-        rig_name=rig_name,
-        created_utc=f"{datetime.now(UTC):%Y-%m-%dT%H:%M:%SZ}",
-        software=software_versions(),
-        devices=devices,
-        results=Results(),
-        inputs=before.inputs if before is not None else Inputs(),
-        valid_days=valid_days,
-    )
-
-
-def _mounting(before: "CalibrationRecord | None", nominal: "MountingSpec") -> "Mounting":
-    """Give how to drive: as calibrated, if both robot and hand-eye transform were."""
-    if before is None or before.results.robot is None or before.results.hand_eye is None:
-        return nominal.nominal
-    return before.mounting(nominal)

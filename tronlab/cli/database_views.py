@@ -270,5 +270,5 @@ def _poses(
 
 
 def _identity(job: "Job") -> str:
-    texts = job.campaign.text, job.rig.whole_text, job.calibration_text
+    texts = job.campaign.whole_text, job.rig.whole_text, job.calibration_text
     return hashlib.blake2b("\0".join(texts).encode(), digest_size=20).hexdigest()

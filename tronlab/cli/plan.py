@@ -129,6 +129,6 @@ def _report(
             ("planned", f"{begun.astimezone():%Y-%m-%d %H:%M:%S %z}"),
             *((name, version) for name, version in sorted(software_versions().items())),
         ],
-        documents={"campaign file": job.campaign.text, "rig file": job.rig.whole_text},
+        documents={"campaign file": job.campaign.whole_text, "rig file": job.rig.whole_text},
         stage=Stage(foresight.context, rail_range_m) if has_pictures else None,
     )

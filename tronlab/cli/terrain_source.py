@@ -53,24 +53,23 @@ def read_yaml(path: Path) -> NamedTerrain:
     import numpy as np
 
     from tronlab.campaign.rig import load_rig
-    from tronlab.errors import ConfigError
     from tronlab.terrain.section import TerrainSection
-    from tronlab.yaml_models import line_of, parse_model, read_text
+    from tronlab.yaml_variants import read_document
 
-    text = read_text(path)
-    is_rig = any(line_of(text, (key,)) for key in ("laboratory", "extends"))
-    if is_rig:
+    document = read_document(path)
+    keys = document.values.keys()
+    if "laboratory" in keys:
         rig = load_rig(path)
         p_lamp_trs_m = np.array(rig.config.laboratory.lamp.p_trs_m, dtype=np.float64)
         return NamedTerrain(
             f"rig {rig.name}",
             rig.config.terrain,
-            rig.home_of("terrain").path.parent,
+            rig.path.parent,
             p_lamp_trs_m=p_lamp_trs_m,
         )
-    if (line := line_of(text, ("rig",))) is not None:
-        raise ConfigError("is a campaign; give the rig file that stands here", path=path, line=line)
-    section = parse_model(text, TerrainSection, path=path)
+    if "rig" in keys:
+        raise document.error("the file is a campaign; give the rig file that stands here", "rig")
+    section = document.read_as(TerrainSection)
     return NamedTerrain(path.stem, section.terrain, path.parent)
 
 

@@ -77,8 +77,8 @@ class Detector:
     is_cheap_to_describe: bool
     """True if describing after detecting repeats no work, so that only the features kept are
     described."""
-    cell_px: float = 48.0
-    """Side of the square cells over which features are spread."""
+    cell_px: float | None = 48.0
+    """Side of the square cells over which features are spread; None: they are not."""
 
 
 def _opencv_factory(name: str) -> Callable[..., KeypointFinder]:
@@ -152,7 +152,7 @@ def grey_8_bit(image: GreyImage, mask: Mask) -> NDArray[np.uint8]:
 
 
 def spread_over_image(
-    uv: FloatArray, strength: FloatArray, *, n_max: int, cell_px: float
+    uv: FloatArray, strength: FloatArray, *, n_max: int, cell_px: float | None
 ) -> NDArray[np.intp]:
     """Choose features in turns: every cell of the image gives its strongest, then its second.
 
@@ -160,19 +160,31 @@ def spread_over_image(
         uv: Image positions, shape (n, 2).
         strength: What to prefer, shape (n,).
         n_max: Most features chosen.
-        cell_px: Side of a square cell.
+        cell_px: Side of a square cell; None: the whole image is one.
 
     Returns:
         Indices of the chosen, at most ``n_max``, in the order chosen.
     """
-    cells = np.floor(uv / cell_px).astype(np.int64)
-    cell = cells[:, 1] * 100_000 + cells[:, 0]
-    by_cell = np.lexsort((uv[:, 0], uv[:, 1], -strength, cell))
-    starts = np.r_[True, np.diff(cell[by_cell]) != 0] if len(uv) else np.zeros(0, bool)
-    first = np.maximum.accumulate(np.where(starts, np.arange(len(uv)), 0))
-    turn = np.empty(len(uv), np.int64)
-    turn[by_cell] = np.arange(len(uv)) - first
+    turn = np.zeros(len(uv)) if cell_px is None else turns_of_cells(uv, strength, side=cell_px)
     return np.lexsort((uv[:, 0], uv[:, 1], -strength, turn))[:n_max]
+
+
+def turns_of_cells(places: FloatArray, strength: FloatArray, *, side: float) -> NDArray[np.int64]:
+    """Give for each of some places how many stronger ones its cell of the plane has, shape (n,).
+
+    Args:
+        places: In the image or on the ground, shape (n, 2).
+        strength: Shape (n,); of equals the one with the least second coordinate comes first.
+        side: Of the square cells, in the unit of the places.
+    """
+    cells = np.floor(places / side).astype(np.int64)
+    cell = cells[:, 1] * 100_000 + cells[:, 0]
+    by_cell = np.lexsort((places[:, 0], places[:, 1], -strength, cell))
+    number = np.arange(len(places))
+    starts = np.r_[True, np.diff(cell[by_cell]) != 0] if len(places) else np.zeros(0, bool)
+    turn = np.empty(len(places), np.int64)
+    turn[by_cell] = number - np.maximum.accumulate(np.where(starts, number, 0))
+    return turn
 
 
 def _check(image: GreyImage, mask: Mask) -> None:

@@ -2,7 +2,7 @@
 
 from collections.abc import Generator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Literal, TypeAlias
 
@@ -25,6 +25,7 @@ from tronlab.nav.pose import (
 )
 from tronlab.nav.settings import FeatureCoreSettings
 from tronlab.nav.sightings import LandmarkFinder
+from tronlab.nav.trust import trusted_matches
 
 FIRST_FEATURES = 500
 """Anywhere on the terrain, so many features are sought first, the strongest all over the image:
@@ -92,8 +93,10 @@ class Localisation:
 
     def _fix(self, matches: Matches) -> Fix:
         self.n_matches = len(matches)
+        with self._timed("match"):
+            database = self._finder.database
+            trusted = trusted_matches(matches, self.features, database, self._matching)
         with self._timed("pose"):
-            trusted = self._trusted(matches)
             pose, agrees = self._agreeing(self._correspondences(trusted))
         if not self._pose.refine:
             used = trusted.take(np.flatnonzero(agrees))
@@ -159,14 +162,6 @@ class Localisation:
         except NoPoseError:
             return None
 
-    def _trusted(self, matches: Matches) -> Matches:
-        """Give those a first pose may rest on: not ambiguous, not too large."""
-        is_trusted = matches.ratio <= self._matching.max_ratio
-        if self._matching.max_size_px is not None:
-            size_px = self.features.size_px[matches.feature]
-            is_trusted &= size_px <= self._matching.max_size_px
-        return matches.take(np.flatnonzero(is_trusted))
-
     def _matches_anywhere(self, n_features: int | None = None) -> Matches:
         matches, time_s = self._finder.matches(self._frame, n_features)
         self.times_s["match"] += time_s
@@ -184,7 +179,10 @@ class Localisation:
             return guided_matches(finder.database, sought, finder.camera, pose, covariance)
 
     def _correspondences(self, matches: Matches) -> Correspondences:
-        return self._finder.correspondences(self.features, matches)
+        found = self._finder.correspondences(self.features, matches)
+        if self._pose.weigh_by_size:
+            return found
+        return replace(found, scale=np.ones(len(found)))
 
     @contextmanager
     def _timed(self, stage: Stage) -> Generator[None]:

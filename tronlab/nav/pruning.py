@@ -15,6 +15,7 @@ from tronlab.geometry.poses import FloatArray
 from tronlab.nav.core import Mask
 from tronlab.nav.database import Database
 from tronlab.nav.database_file import Counts
+from tronlab.nav.features import turns_of_cells
 from tronlab.nav.settings import Count, Positive
 from tronlab.yaml_models import Model
 
@@ -151,6 +152,33 @@ def select(
         n_merged=len(verified) - len(distinct),
         n_thinned=len(distinct) - len(chosen),
     )
+
+
+def preferred_part(
+    database: Database, part: float, preference: FloatArray, *, cell_m: float | None = None
+) -> Indices:
+    """Choose a part of the landmarks, those that are preferred.
+
+    Args:
+        database: All landmarks.
+        part: How many stay, as a part of all.
+        preference: Shape (n,).
+        cell_m: Choose in turns: of every square cell of the ground the most preferred, then its
+            second; None: wherever they are.
+
+    Returns:
+        Indices of the chosen, ascending.
+    """
+    n_kept = int(np.ceil(part * len(database)))
+    turn = np.zeros(len(database))
+    if cell_m is not None:
+        turn = turns_of_cells(database.p_trs_m[:, :2], preference, side=cell_m)
+    return np.sort(np.lexsort((-preference, turn))[:n_kept])
+
+
+def place_in_view(database: Database) -> NDArray[np.int64]:
+    """Give how many landmarks of its view come before each: the strongest is the first."""
+    return np.arange(len(database)) - np.searchsorted(database.view, database.view)
 
 
 def _pieces(n: int) -> Iterator[slice]:

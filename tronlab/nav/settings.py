@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal, TypeAlias
 from pydantic import Field, field_validator
 
 from tronlab.yaml_models import Model, parse_mapping
+from tronlab.yaml_variants import merged
 
 Positive: TypeAlias = Annotated[float, Field(gt=0)]
 Count: TypeAlias = Annotated[int, Field(ge=1)]
@@ -22,8 +23,8 @@ class DetectorSettings(Model):
     """Of the detector; without a value 0.001 for AKAZE, 30 for BRISK."""
     n_max: Count | None = None
     """Most features kept of an image; without a value 2000 for AKAZE, 3000 for BRISK."""
-    cell_px: Positive = 48.0
-    """Side of the cells over which they are spread."""
+    cell_px: Positive | None = 48.0
+    """Side of the cells over which they are spread; ``null``: the strongest, wherever they are."""
 
 
 class MatchingSettings(Model):
@@ -40,6 +41,19 @@ class MatchingSettings(Model):
     """Largest distance of a match over that to its nearest rival."""
     max_size_px: Positive | None = None
     """Largest feature a first pose rests on: the places of large ones are pixels off."""
+    mutual: bool = False
+    """A first pose rests only on matches whose landmark has no feature in the image that is more
+    like it."""
+    best_by: Literal["ratio", "distance"] = "ratio"
+    """Which matches are the best: the least ambiguous, or, as in the paper, those whose descriptors
+    differ least."""
+    max_per_cell: Count | None = None
+    """Most matches of one cell of the image that a first pose rests on, the best ones; without a
+    value all."""
+    cell_px: Positive = 48.0
+    """Side of these cells."""
+    n_max: Count | None = None
+    """Most matches a first pose rests on, the best ones; without a value all."""
 
 
 class PoseSettings(Model):
@@ -59,6 +73,8 @@ class PoseSettings(Model):
     uncertainty is does not count here."""
     refine: bool = True
     """Robust least squares on every match that agrees."""
+    weigh_by_size: bool = True
+    """The place of a feature is the less certain the larger the feature; without, all are alike."""
     gate_px: Positive = 6.0
     """Largest residual at the start of least squares, times how much less certain a match is than
     the best."""
@@ -125,16 +141,5 @@ def core_settings(name: str, changes: Mapping[str, Any]) -> FeatureCoreSettings:
     Raises:
         ConfigError: A change is none of the model.
     """
-    values = _merged(PRESETS[name].model_dump(mode="json"), changes)
+    values = merged(PRESETS[name].model_dump(mode="json"), changes)
     return parse_mapping(values, FeatureCoreSettings, key=f"settings of {name}")
-
-
-def _merged(base: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    merged = dict(base)
-    for key, value in changes.items():
-        section = base.get(key)
-        if isinstance(section, Mapping) and isinstance(value, Mapping):
-            merged[key] = _merged(section, value)
-        else:
-            merged[key] = value
-    return merged

@@ -67,6 +67,10 @@ class Plan:
         ]
         return hashlib.sha256(json.dumps(rows).encode()).hexdigest()
 
+    def every(self, n: int) -> "Plan":
+        """Give the plan of only every n-th shot, the first included; they keep their ids."""
+        return Plan(self.shots[::n])
+
 
 def make_plan(poses: Sequence[RigidTransform], *, mounting: Mounting) -> Plan:
     """Expand ``trs_from_cam`` poses into shots with ids from 1.
@@ -109,10 +113,28 @@ def check_reach(shots: Sequence[Shot], robot: Robot) -> None:
         )
 
 
-def range_los_m(range_finder: RangeFinder, trs_from_cam: RigidTransform) -> float:
-    """Give the distance to the terrain along the optical axis; NaN if it is missed."""
-    boresight_trs = trs_from_cam.rotation.apply([0.0, 0.0, 1.0])
-    return range_finder.range_along_m(trs_from_cam.translation, boresight_trs)
+def range_los_m(
+    range_finder: RangeFinder, trs_from_cam: RigidTransform, *, ground_trs_m: float
+) -> float:
+    """Give the distance to the ground along the optical axis: the line of sight (paper, 1.1).
+
+    The ground is the terrain model, and beside it the plane at its mean height: the model is
+    finite, and seen from afar the axis of a tilted camera may pass its edge.
+
+    Args:
+        range_finder: Measures distances to the terrain.
+        trs_from_cam: Pose of the camera.
+        ground_trs_m: Mean height of the terrain, along Z of trs.
+
+    Returns:
+        Metres; NaN if the axis never meets the ground.
+    """
+    p_trs_m, boresight_trs = trs_from_cam.translation, trs_from_cam.rotation.apply([0.0, 0.0, 1.0])
+    range_m = range_finder.range_along_m(p_trs_m, boresight_trs)
+    above_m = float(p_trs_m[2]) - ground_trs_m
+    if np.isfinite(range_m) or above_m <= 0 or boresight_trs[2] >= 0:
+        return range_m
+    return above_m / -float(boresight_trs[2])
 
 
 def database_indices(n_poses: int, *, n_views: int) -> tuple[int, ...]:

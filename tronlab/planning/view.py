@@ -20,7 +20,7 @@ class View:
     """What is in view at one pose."""
 
     range_los_m: float
-    """Distance to the terrain along the optical axis; NaN if it is missed."""
+    """Distance to the ground along the optical axis; NaN if it never meets it."""
     usable_fraction: float
     """Part of the image that shows the model."""
 
@@ -35,7 +35,9 @@ def view_from(
     """Predict what is in view, as it will be derived from the measured pose of a shot."""
     coarse = camera.scaled(min(MASK_WIDTH_PX, camera.width_px))
     return View(
-        range_los_m=range_los_m(range_finder, trs_from_cam),
+        range_los_m=range_los_m(
+            range_finder, trs_from_cam, ground_trs_m=heightmap.mean_height_trs_m
+        ),
         usable_fraction=float(model_mask(heightmap, coarse, trs_from_cam).mean()),
     )
 
@@ -50,8 +52,8 @@ def view_findings(
         findings.append(
             Finding(
                 "view",
-                "the optical axis misses the terrain model; it must meet it, for errors are percent"
-                " of that distance",
+                "the optical axis does not meet the ground, the plane of the terrain model; it must"
+                " meet it, for errors are percent of that distance",
             )
         )
     elif not low <= view.range_los_m <= high:

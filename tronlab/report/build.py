@@ -24,13 +24,14 @@ from tronlab.report.pictures import (
 from tronlab.report.recording import Recording, read_recording
 from tronlab.report.style import CoreStyle, core_styles, save_chart, save_picture
 from tronlab.report.tables import (
+    Reasons,
     cores_of,
     effort_table,
     paper_table,
     shots_table,
-    worst_first,
     worst_shots_table,
 )
+from tronlab.report.worst import worst_answers, worst_reasons
 from tronlab.score.evaluation.export import (
     WORKBOOK,
     Table,
@@ -95,6 +96,8 @@ class _Job:
     """What a person should know of the others; empty if there are none."""
     worst: Mapping[str, _Answer]
     """Core to its worst answer."""
+    reasons: Reasons
+    """Why there is no pose, and what dominates the worst errors."""
     sheet: tuple[_Answer, ...]
     """Those of the contact sheet."""
     sheet_core: str
@@ -153,7 +156,11 @@ def _job(results: ScoreResults, settings: ReportSettings, staging: Path) -> _Job
         (staging / name).mkdir()
     best = _best_first(scores, cores)
     drawn = [core for core in cores if core in best[:MAX_DRAWN]]
-    worst = {core: _worst(_of(scores, core)) for core in drawn}
+    worst = {
+        answer.core: _Answer(answer.shot_id, answer.seed)
+        for answer in worst_answers(scores)
+        if answer.core in drawn
+    }
     sheet_core = best[0]
     of_sheet = _of(scores, sheet_core)
     sheet_seed = int(of_sheet["seed"].iloc[0])
@@ -164,6 +171,7 @@ def _job(results: ScoreResults, settings: ReportSettings, staging: Path) -> _Job
         styles=core_styles(drawn),
         not_drawn=_not_drawn(n_drawn=len(drawn), n_cores=len(cores)),
         worst=worst,
+        reasons=worst_reasons(results, drawn),
         sheet=tuple(_Answer(shot_id, sheet_seed) for shot_id in sheet),
         sheet_core=sheet_core,
         recording=read_recording(results, {*sheet, *(answer.shot_id for answer in worst.values())}),
@@ -172,9 +180,9 @@ def _job(results: ScoreResults, settings: ReportSettings, staging: Path) -> _Job
 
 
 def _make_page(job: _Job) -> Page:
-    scores, reasons = job.results.scores, job.results.reasons
+    scores = job.results.scores
     paper, effort = paper_table(scores), effort_table(scores)
-    worst_shots = worst_shots_table(scores, reasons)
+    worst_shots = worst_shots_table(scores, job.reasons)
     evaluation = evaluate(
         scores, job.styles, settings=job.settings.evaluation, folder=job.staging / "figures"
     )
@@ -251,6 +259,7 @@ def _pictures(job: _Job) -> list[PageFigure]:
                 alt=f"Worst shot of {core}: shot {answer.shot_id}",
                 anchor=f"worst-{slug}",
                 core=core,
+                note=job.reasons.get((core, answer.seed, answer.shot_id), ""),
             )
         )
     return shown
@@ -288,11 +297,6 @@ def _save_tables(job: _Job, tables: Sequence[Table]) -> None:
     for name in job.settings.formats:
         has_types = name in ("xlsx", "json", "parquet")
         write_tables(folder, [*tables, every] if has_types else tables, [name])
-
-
-def _worst(rows: pd.DataFrame) -> _Answer:
-    worst = worst_first(rows).iloc[0]
-    return _Answer(int(worst["shot_id"]), int(worst["seed"]))
 
 
 def _put_in_place(staging: Path, directory: Path) -> None:

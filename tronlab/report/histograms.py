@@ -1,4 +1,4 @@
-"""Error histograms of one core, laid out as figures 8 and 9 of the paper."""
+"""Error histograms of one core, laid out as figures 8 to 17 of the paper."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -22,7 +22,9 @@ _MARGIN_BINS = 2
 """Room, in bins, for the bar that counts gross errors; half a bin away from the others."""
 
 
-def error_histograms(scores: pd.DataFrame, core: str) -> Figure:
+def error_histograms(
+    scores: pd.DataFrame, core: str, *, has_angles: bool = True, of: str = ""
+) -> Figure:
     """Draw the error histograms of a core.
 
     Top: norm of the position error, grey. Middle: position error along x, y, z of trs. Bottom:
@@ -33,30 +35,32 @@ def error_histograms(scores: pd.DataFrame, core: str) -> Figure:
     Args:
         scores: Rows of ``scores.csv``, one a shot and core.
         core: Which core to draw.
+        has_angles: Whether to draw the bottom row: figures 8 and 9 of the paper have it, 10 to 17
+            do not.
+        of: What the shots are of, for the title; empty if the page says so.
     """
     rows = scores[scores["core"] == core]
     solved = rows[rows["status"] == "ok"]
     with style_context():
-        figure = new_figure(7.2, 6.6)
-        figure.suptitle(f"{core}: {pose_count_text(rows)}", fontsize=10)
-        grid = figure.add_gridspec(3, 3)
+        figure = new_figure(7.2, 6.6 if has_angles else 4.5)
+        named = f"{core}, {of}" if of else core
+        figure.suptitle(f"{named}: {pose_count_text(rows)}", fontsize=10)
+        grid = figure.add_gridspec(3 if has_angles else 2, 3)
         norm = figure.add_subplot(grid[0, :])
         errors = _values(solved["position_error_pct_los"])
         _draw_row([norm], [errors], [NORM_COLOUR])
         norm.set_xlabel("norm of position error [% of LOS]")
+        norm.set_ylabel("shots")
         if errors.size:
             norm.legend(fontsize=8, loc="upper right")
-        middle = [figure.add_subplot(grid[1, i]) for i in range(3)]
         position = [position_error_pct_los(solved, axis) for axis in "xyz"]
-        _draw_row(middle, position, list(AXIS_COLOURS.values()), is_signed=True)
-        bottom = [figure.add_subplot(grid[2, i]) for i in range(3)]
-        angle = [_values(solved[f"axis_error_{axis}_deg"]) for axis in "xyz"]
-        _draw_row(bottom, angle, list(AXIS_COLOURS.values()))
-        for axis, above, below in zip("xyz", middle, bottom, strict=True):
-            above.set_xlabel(f"error along {axis} of trs [% of LOS]")
-            below.set_xlabel(f"error of camera axis {axis} [deg]")
-        for panel in (norm, middle[0], bottom[0]):
-            panel.set_ylabel("shots")
+        labels = [f"error along {axis} of trs [% of LOS]" for axis in "xyz"]
+        _draw_axes([figure.add_subplot(grid[1, i]) for i in range(3)], position, labels)
+        if has_angles:
+            angle = [_values(solved[f"axis_error_{axis}_deg"]) for axis in "xyz"]
+            labels = [f"error of camera axis {axis} [deg]" for axis in "xyz"]
+            panels = [figure.add_subplot(grid[2, i]) for i in range(3)]
+            _draw_axes(panels, angle, labels, is_signed=False)
     return figure
 
 
@@ -108,6 +112,16 @@ def fence(panels: Sequence[FloatArray]) -> float:
     """
     medians = [float(np.median(np.abs(values))) for values in panels if values.size]
     return FENCE_MEDIANS * max(medians, default=0.0) or np.inf
+
+
+def _draw_axes(
+    panels: list[Axes], values: list[FloatArray], labels: Sequence[str], *, is_signed: bool = True
+) -> None:
+    """Draw what belongs to x, y and z side by side, red, green and blue."""
+    _draw_row(panels, values, list(AXIS_COLOURS.values()), is_signed=is_signed)
+    for panel, label in zip(panels, labels, strict=True):
+        panel.set_xlabel(label)
+    panels[0].set_ylabel("shots")
 
 
 def _draw_row(

@@ -30,6 +30,8 @@ class PageFigure:
     """Where links within the page lead."""
     core: str = ""
     """The core whose worst shot this is."""
+    note: str = ""
+    """What is to be said below it."""
 
     @property
     def data_uri(self) -> str:

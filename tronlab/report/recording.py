@@ -55,7 +55,7 @@ def read_recording(results: ScoreResults, shot_ids: Collection[int]) -> Recordin
         The recording; without a readable dataset, only why.
     """
     try:
-        with Dataset(_find(results)) as dataset:
+        with Dataset(dataset_behind(results)) as dataset:
             rows = _checked_rows(dataset, results)
             return Recording(
                 facts=_facts(dataset),
@@ -69,7 +69,7 @@ def read_recording(results: ScoreResults, shot_ids: Collection[int]) -> Recordin
         return Recording(missing=str(error))
 
 
-def _find(results: ScoreResults) -> Path:
+def dataset_behind(results: ScoreResults) -> Path:
     """Give the dataset where it was scored, else beside the scores: folders are moved whole."""
     beside = results.directory / USUAL_NAME
     return (

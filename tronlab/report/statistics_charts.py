@@ -28,12 +28,24 @@ _BOX_WIDTH = 0.8
 
 
 def error_boxes(
-    scores: pd.DataFrame, styles: Mapping[str, CoreStyle], column: str, bins: Sequence[Bin]
+    scores: pd.DataFrame,
+    styles: Mapping[str, CoreStyle],
+    column: str,
+    bins: Sequence[Bin],
+    *,
+    label: str = "",
 ) -> Figure:
     """Draw the position error of each core in each part of the shots as a box.
 
     Box: quartiles and median. Whiskers: 5th and 95th percentile; all beyond are points. Below each
     bin stands how many shots it holds.
+
+    Args:
+        scores: Rows of ``scores.csv``.
+        styles: Of each core.
+        column: What the shots are parted by.
+        bins: The parts.
+        label: What people call the column; needed unless it is one of ``BINNED_BY``.
     """
     width = _BOX_WIDTH / max(len(styles), 1)
     with style_context():
@@ -46,7 +58,7 @@ def error_boxes(
             axes.plot([], [], "s", color=style.colour, label=core)
         axes.set_xticks(range(len(bins)), [_bin_label(scores, column, b) for b in bins])
         axes.set_xlim(-0.5, len(bins) - 0.5)
-        axes.set_xlabel(BINNED_BY[column])
+        axes.set_xlabel(label or BINNED_BY[column])
         axes.set_ylabel(ERROR_LABEL)
         axes.grid(axis="y")
         if (scores["status"] == "ok").any():

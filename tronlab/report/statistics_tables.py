@@ -86,15 +86,16 @@ def recall_table(scores: pd.DataFrame, thresholds: Sequence[Threshold]) -> Table
     return Table("recall", caption, columns, rows)
 
 
-def bins_table(scores: pd.DataFrame, column: str, bins: Sequence[Bin]) -> Table:
+def bins_table(scores: pd.DataFrame, column: str, bins: Sequence[Bin], *, label: str = "") -> Table:
     """Give, for each core, the position error in parts of the shots.
 
     Args:
         scores: Rows of ``scores.csv``.
         column: What the shots are parted by.
         bins: The parts.
+        label: What people call the column; needed unless it is one of ``BINNED_BY``.
     """
-    metric, label = "position_error_pct_los", BINNED_BY[column]
+    metric, label = "position_error_pct_los", label or BINNED_BY[column]
     columns = (
         Column("core", "core"),
         Column("bin", label),

@@ -12,7 +12,7 @@ from tronlab.score.evaluation.export import MISSING, Cell, Column, Table
 from tronlab.score.evaluation.statistics import statistics
 
 Reasons: TypeAlias = Mapping[tuple[str, int, int], str]
-"""Why a core gave no pose, by core, seed and shot id."""
+"""Why a core gave no pose, or a bad one, by core, seed and shot id."""
 N_WORST = 5
 """Rows of the table of worst shots, a core."""
 
@@ -68,7 +68,9 @@ def paper_table(scores: pd.DataFrame) -> Table:
 def worst_shots_table(scores: pd.DataFrame, reasons: Reasons) -> Table:
     """Give the shots of each core without a pose and with the largest position errors, worst first.
 
-    At most ``N_WORST`` a core.
+    Args:
+        scores: At most ``N_WORST`` of a core are shown.
+        reasons: Why they are so bad.
     """
     columns = (
         Column("core", "core"),
@@ -82,7 +84,7 @@ def worst_shots_table(scores: pd.DataFrame, reasons: Reasons) -> Table:
         Column("n_matches", "matches"),
         Column("n_inliers", "inliers"),
         Column("truth_state", "truth"),
-        Column("reason", "why no pose"),
+        Column("reason", "why"),
     )
     rows: list[tuple[Cell, ...]] = []
     for _, of_core in by_core(scores):

@@ -2,17 +2,15 @@
 
 import os
 from collections import Counter
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 
 import pandas as pd
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
 
 from tronlab.dataset.reader import Dataset
 from tronlab.dataset.records import Truth
-from tronlab.errors import ScoreError, TronlabError
+from tronlab.errors import ConfigError, ScoreError, TronlabError
 from tronlab.nav.core import NavigationResult
 from tronlab.nav.cores import BUILT_IN_CORES
 from tronlab.nav.specs import parse_cores
@@ -32,6 +30,7 @@ from tronlab.score.results import (
     save_partial,
     save_results,
 )
+from tronlab.yaml_variants import recorded_values
 
 Progress = Callable[[int, int], None]
 """Told how many answers have been computed, and how many there are to compute."""
@@ -140,11 +139,10 @@ def cores_of_dataset(dataset_path: Path) -> tuple[str, ...]:
 def campaign_cores(campaign_yaml: str) -> tuple[str, ...]:
     """Give the cores a campaign names under ``score: cores``, else all built-in ones."""
     try:
-        campaign = YAML(typ="safe", pure=True).load(campaign_yaml)
-    except YAMLError:
+        section = recorded_values(campaign_yaml).get("score")
+    except ConfigError:
         return BUILT_IN_CORES
-    section = campaign.get("score") if isinstance(campaign, dict) else None
-    named = section.get("cores") if isinstance(section, dict) else None
+    named = section.get("cores") if isinstance(section, Mapping) else None
     return tuple(str(name) for name in named) if isinstance(named, list) else BUILT_IN_CORES
 
 

@@ -27,13 +27,19 @@ def cache_file(key: str) -> Path:
 
 
 def find_cached(
-    path: Path, shape: tuple[int, int], open_file: Callable[[Path], HeightMap]
+    path: Path, shape: tuple[int, int] | None, open_file: Callable[[Path], HeightMap]
 ) -> HeightMap | None:
-    """Open a kept terrain model; None if there is none or it is damaged."""
+    """Open a kept terrain model; None if there is none or it is damaged.
+
+    Args:
+        path: The file.
+        shape: What it must have; None if that is not known.
+        open_file: Opens the file.
+    """
     if not (path.exists() and description_path(path).exists()):
         return None
     try:
-        if describe_dem(path).shape == shape:
+        if shape in {None, describe_dem(path).shape}:
             return open_file(path)
         reason = f"{path}: its shape is {describe_dem(path).shape}, expected {shape}"
     except TerrainError as error:

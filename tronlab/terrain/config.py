@@ -23,6 +23,11 @@ class _Painted(Model):
     """Grey picture of 8 or 16 bit that is stretched over the model, rows down it; white is 1. The
     albedo is multiplied by it. Relative to the rig file."""
 
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Get the files it is made from, as they are named."""
+        return () if self.albedo_map is None else (self.albedo_map,)
+
 
 class _Terrain(_Painted):
     most_samples: ClassVar[int] = MAX_SAMPLES_IN_MEMORY
@@ -123,6 +128,11 @@ class FileTerrain(_Terrain):
     seed: int = Field(default=1, ge=0)
     """Seed of the added roughness."""
 
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Get the files it is made from, as they are named."""
+        return (self.path, *super().files)
+
 
 class DemTerrain(_Painted):
     """A terrain model in metres, exactly as it stands in tronlab's own file.
@@ -136,5 +146,59 @@ class DemTerrain(_Painted):
     origin_trs_m: tuple[CoordinateM, CoordinateM, CoordinateM] | None = None
     """Where sample (0, 0) would lie at height 0, in F_TRS; by default as the description says."""
 
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Get the files it is made from, as they are named."""
+        return (self.path, *super().files)
 
-TerrainConfig = Annotated[ProceduralTerrain | FileTerrain | DemTerrain, Field(discriminator="kind")]
+
+class ScanConfig(Model):
+    """How well a terrain model is measured."""
+
+    spacing_m: float | None = Field(default=None, ge=1e-4, le=0.1)
+    """Between two samples of the scan; by default that of the terrain."""
+    noise_sigma_m: float = Field(default=0.0, ge=0.0, le=0.1)
+    """Standard deviation of the noise that every sample has by itself."""
+    correlated_sigma_m: float = Field(default=0.0, ge=0.0, le=0.1)
+    """Standard deviation of the noise that neighbouring samples share."""
+    correlation_length_m: float = Field(default=0.05, gt=0.0, le=10.0)
+    """Distance at which the shared noise's correlation has fallen to 1/e; it falls like a Gauss
+    curve."""
+    spot_diameter_m: float = Field(default=0.0, ge=0.0, le=0.1)
+    """Diameter of the scanner's spot on the surface, to 1/e^2 of its light: finer shapes blur."""
+    registration_sigma_m: float = Field(default=0.0, ge=0.0, le=0.1)
+    """Standard deviation of where the scan is placed, along each axis."""
+    registration_sigma_deg: float = Field(default=0.0, ge=0.0, le=5.0)
+    """Standard deviation of how it is turned about the model's middle, about each axis."""
+    scanners_trs_m: tuple[tuple[CoordinateM, CoordinateM, CoordinateM], ...] = ()
+    """Where the scanner stood, in F_TRS; what it sees from none of these places is a hole.
+    Without any, everything is seen."""
+    widest_hole_m: Annotated[float, Field(gt=0.0, le=10.0)] = 0.2
+    """Wider holes are an error: no laboratory would fill them."""
+    seed: int = Field(default=1, ge=0)
+
+
+MadeTerrain = Annotated[ProceduralTerrain | FileTerrain | DemTerrain, Field(discriminator="kind")]
+
+
+class ScannedTerrain(_Painted):
+    """What a laser scanner makes of another terrain: how a laboratory knows its model.
+
+    It lies where the other one is believed to lie. Paint is not scanned.
+    """
+
+    kind: Literal["scan"] = "scan"
+    of: MadeTerrain
+    """The terrain that is scanned, as it really is."""
+    scan: ScanConfig = ScanConfig()
+    """How well."""
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """Get the files it is made from, as they are named."""
+        return (*self.of.files, *super().files)
+
+
+TerrainConfig = Annotated[
+    ProceduralTerrain | FileTerrain | DemTerrain | ScannedTerrain, Field(discriminator="kind")
+]

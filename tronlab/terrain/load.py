@@ -16,7 +16,9 @@ from tronlab.terrain.config import (
     MAX_SAMPLES_IN_MEMORY,
     DemTerrain,
     FileTerrain,
+    MadeTerrain,
     ProceduralTerrain,
+    ScannedTerrain,
     TerrainConfig,
 )
 from tronlab.terrain.dem import describe_dem, open_dem, read_dem, save_dem
@@ -55,12 +57,30 @@ def _load_heights(
     if isinstance(config, DemTerrain):
         path = _existing_file(config.path, base_dir)
         return _opener(describe_dem(path).shape)(path, config.origin_trs_m)
+    if isinstance(config, ScannedTerrain):
+        return _scanned_terrain(config, base_dir, announce)
     if isinstance(config, FileTerrain):
-        return _file_terrain(config, _existing_file(config.path, base_dir), announce)
+        return _file_terrain(config, base_dir, announce)
     if not _fits_memory(config.shape):
         return _large_terrain(config, announce)
-    origin = {"generator": GENERATOR_VERSION}
-    return _from_cache(config, origin, announce, lambda: make_terrain(config))
+    return _from_cache(config, _origin(config, base_dir), announce, lambda: make_terrain(config))
+
+
+def _origin(config: MadeTerrain, base_dir: Path) -> dict[str, object]:
+    """Give what the heights depend on beyond the settings."""
+    if isinstance(config, DemTerrain):
+        return {"dem": describe_dem(_existing_file(config.path, base_dir)).fingerprint}
+    if isinstance(config, FileTerrain):
+        from tronlab.terrain.file import READER_VERSION
+        from tronlab.terrain.raster import files_of_raster
+
+        files = files_of_raster(_existing_file(config.path, base_dir))
+        return {"reader": READER_VERSION, "sha256": _sha256(files)}
+    if _fits_memory(config.shape):
+        return {"generator": GENERATOR_VERSION}
+    from tronlab.terrain.tiled import TILED_VERSION
+
+    return {"generator": GENERATOR_VERSION, "tiled": TILED_VERSION}
 
 
 def make_dem(
@@ -76,16 +96,15 @@ def make_dem(
     Raises:
         TerrainError: The files cannot be written, or there is no room on the disk.
     """
-    from tronlab.terrain.tiled import TILED_VERSION, write_terrain
+    from tronlab.terrain.tiled import write_terrain
 
     announce = announce or logger.info
-    origin = {"generator": GENERATOR_VERSION}
+    made_by = _made_by(config, _origin(config, path.parent))
     if _fits_memory(config.shape):
         announce(_making(config))
         heightmap = _placed(config, make_terrain(config))
-        save_dem(path, heightmap, made_by=_made_by(config, origin))
+        save_dem(path, heightmap, made_by=made_by)
     else:
-        made_by = _made_by(config, {**origin, "tiled": TILED_VERSION})
         write_terrain(config, path, made_by=made_by, announce=announce)
 
 
@@ -101,14 +120,42 @@ def _opener(
     return lambda path, origin_trs_m: open_file(path, origin_trs_m=origin_trs_m)
 
 
-def _file_terrain(config: FileTerrain, path: Path, announce: Callable[[str], None]) -> HeightMap:
-    from tronlab.terrain.file import READER_VERSION, read_terrain
-    from tronlab.terrain.raster import files_of_raster
+def _file_terrain(
+    config: FileTerrain, base_dir: Path, announce: Callable[[str], None]
+) -> HeightMap:
+    from tronlab.terrain.file import read_terrain
 
-    origin = {"reader": READER_VERSION, "sha256": _sha256(files_of_raster(path))}
+    path = _existing_file(config.path, base_dir)
     return _from_cache(
-        config, origin, announce, lambda: read_terrain(config, path, announce=announce)
+        config,
+        _origin(config, base_dir),
+        announce,
+        lambda: read_terrain(config, path, announce=announce),
     )
+
+
+def _scanned_terrain(
+    config: ScannedTerrain, base_dir: Path, announce: Callable[[str], None]
+) -> HeightMap:
+    from tronlab.terrain.scan import SCAN_VERSION, scan
+
+    origin = {"scanned": _origin(config.of, base_dir), "scanner": SCAN_VERSION}
+    cache = cache_file(_key(config, origin))
+    heightmap = find_cached(cache, None, read_dem)
+    if heightmap is not None:
+        return heightmap
+    true = _load_heights(config.of, base_dir, announce)
+    announce("scanning the terrain model (kept for the next time)")
+    scanned = scan(true, config.scan)
+    keep(
+        lambda: save_dem(
+            cache,
+            scanned.heightmap,
+            made_by=_made_by(config, origin),
+            n_holes_filled=scanned.n_holes_filled,
+        )
+    )
+    return scanned.heightmap
 
 
 def _from_cache(
@@ -132,9 +179,9 @@ def _from_cache(
 
 def _large_terrain(config: ProceduralTerrain, announce: Callable[[str], None]) -> HeightMap:
     """Give a model that stays in its file of the cache; make it first where it is not there."""
-    from tronlab.terrain.tiled import TILED_VERSION, write_terrain
+    from tronlab.terrain.tiled import write_terrain
 
-    origin = {"generator": GENERATOR_VERSION, "tiled": TILED_VERSION}
+    origin = _origin(config, Path())
     cache = cache_file(_key(config, origin))
     heightmap = _cached(config, cache)
     if heightmap is not None:
@@ -166,14 +213,22 @@ def _making(config: ProceduralTerrain | FileTerrain) -> str:
 
 
 def _made_by(
-    config: ProceduralTerrain | FileTerrain, origin: Mapping[str, object]
+    config: ProceduralTerrain | FileTerrain | ScannedTerrain, origin: Mapping[str, object]
 ) -> dict[str, object]:
     return {**config.model_dump(mode="json"), **origin}
 
 
-def _key(config: ProceduralTerrain | FileTerrain, origin: Mapping[str, object]) -> str:
-    """Name everything the heights depend on: not where the model stands, not the file's name."""
-    settings = config.model_dump(mode="json", exclude={"origin_trs_m", "path", "albedo_map"})
+def _key(
+    config: ProceduralTerrain | FileTerrain | ScannedTerrain, origin: Mapping[str, object]
+) -> str:
+    """Name everything the heights depend on: not where the model stands, not the file's name.
+
+    A scan has it in its name where the scanned model stands: its scanners stand elsewhere.
+    """
+    names = {"path", "albedo_map"}
+    settings = config.model_dump(
+        mode="json", exclude={"origin_trs_m": True, **dict.fromkeys(names, True), "of": names}
+    )
     text = json.dumps({**settings, **origin}, sort_keys=True)
     return f"{config.kind}-{hashlib.sha256(text.encode()).hexdigest()[:24]}"
 

@@ -5,49 +5,24 @@ laboratory's frame, sampled, and given noise; what the scanner does not see is f
 """
 
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 from scipy import fft
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from tronlab.geometry.poses import FloatArray
-from tronlab.terrain.config import MAX_SAMPLES_IN_MEMORY, CoordinateM
+from tronlab.terrain.config import MAX_SAMPLES_IN_MEMORY, ScanConfig
 from tronlab.terrain.heightmap import HeightMap, TerrainError
 from tronlab.terrain.holes import fill_holes
 from tronlab.terrain.kernels import compiled, n_cores, run_interleaved
-from tronlab.yaml_models import Model
+
+SCAN_VERSION = 1
+"""Another number, other heights from the same settings."""
 
 _N_STEPS = 6
 _ABOVE_SURFACE_M = 1e-5
-
-
-class ScanConfig(Model):
-    """How well a terrain model is measured."""
-
-    spacing_m: float | None = Field(default=None, ge=1e-4, le=0.1)
-    """Between two samples of the scan; by default that of the terrain."""
-    noise_sigma_m: float = Field(default=0.0, ge=0.0, le=0.1)
-    """Standard deviation of the noise that every sample has by itself."""
-    correlated_sigma_m: float = Field(default=0.0, ge=0.0, le=0.1)
-    """Standard deviation of the noise that neighbouring samples share."""
-    correlation_length_m: float = Field(default=0.05, gt=0.0, le=10.0)
-    """Distance at which the shared noise's correlation has fallen to 1/e; it falls like a Gauss
-    curve."""
-    spot_diameter_m: float = Field(default=0.0, ge=0.0, le=0.1)
-    """Diameter of the scanner's spot on the surface, to 1/e^2 of its light: finer shapes blur."""
-    registration_sigma_m: float = Field(default=0.0, ge=0.0, le=0.1)
-    """Standard deviation of where the scan is placed, along each axis."""
-    registration_sigma_deg: float = Field(default=0.0, ge=0.0, le=5.0)
-    """Standard deviation of how it is turned about the model's middle, about each axis."""
-    scanners_trs_m: tuple[tuple[CoordinateM, CoordinateM, CoordinateM], ...] = ()
-    """Where the scanner stood, in F_TRS; what it sees from none of these places is a hole.
-    Without any, everything is seen."""
-    widest_hole_m: Annotated[float, Field(gt=0.0, le=10.0)] = 0.2
-    """Wider holes are an error: no laboratory would fill them."""
-    seed: int = Field(default=1, ge=0)
 
 
 @dataclass(frozen=True, slots=True)

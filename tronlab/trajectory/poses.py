@@ -10,7 +10,8 @@ from scipy.spatial.transform import RigidTransform
 
 from tronlab.errors import ConfigError, FrameError
 from tronlab.geometry.poses import pose_along_boresight, pose_from_xyz_quat
-from tronlab.trajectory.config import PoseFile, StraightLine
+from tronlab.trajectory.config import PoseFile, PoweredDescent, StraightLine
+from tronlab.trajectory.descent import NOMINAL, fly
 from tronlab.yaml_models import join_errors, read_text
 
 HEADER = ("x", "y", "z", "qx", "qy", "qz", "qw")
@@ -18,15 +19,39 @@ FILE_QUATERNION_TOLERANCE = 1e-4
 """Departure of a quaternion's norm from 1 that rounding to five digits can cause."""
 
 
-def camera_poses(config: StraightLine | PoseFile) -> tuple[RigidTransform, ...]:
+def camera_poses(
+    config: StraightLine | PoseFile | PoweredDescent,
+) -> tuple[RigidTransform, ...]:
     """Give ``trs_from_cam`` of every pose, in the order they are flown.
 
+    Several trajectories follow one another: ``trajectory_numbers`` tells which a pose is of.
+
     Raises:
-        ConfigError: The pose file cannot be read, is empty, or has a line that is no pose.
+        ConfigError: The pose file cannot be read, is empty, or has a line that is no pose; or there
+            is no descent, or no pose on it.
     """
     if isinstance(config, StraightLine):
         return straight_line(config)
-    return read_poses(config.path)
+    if isinstance(config, PoseFile):
+        return read_poses(config.path)
+    return tuple(pose for descent in fly(config).trajectories for pose in descent.trs_from_cam)
+
+
+def trajectory_numbers(
+    config: StraightLine | PoseFile | PoweredDescent,
+) -> tuple[int, ...]:
+    """Give the number of the trajectory that each pose is of, in the order of ``camera_poses``.
+
+    0 is the nominal trajectory of a powered descent, and every pose of another kind; perturbed
+    ones count from 1.
+
+    Raises:
+        ConfigError: As ``camera_poses``.
+    """
+    if isinstance(config, PoweredDescent):
+        flown = fly(config).trajectories
+        return tuple(descent.number for descent in flown for _ in descent.trs_from_cam)
+    return (NOMINAL,) * len(camera_poses(config))
 
 
 def straight_line(config: StraightLine) -> tuple[RigidTransform, ...]:

@@ -73,6 +73,8 @@ class TrueLampConfig(Model):
     """How far the light stands from the nominal place; one sigma a coordinate."""
     housing_offset_m: NotNegative = 0.01
     """From the light's centre to the reflector on its housing, which is what can be measured."""
+    radius_m: Annotated[float, Field(ge=0, le=0.5)] | None = None
+    """Of the luminous sphere; null: as ``laboratory.lamp.radius_m`` has it."""
 
 
 class RobotConfig(Model):

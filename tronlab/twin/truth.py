@@ -127,12 +127,15 @@ def serial_number(spec: LaboratorySpec, config: WorldConfig) -> str:
     """Give a serial number that two laboratories share only if they are built alike.
 
     Scripted faults leave it as it is: they happen to a laboratory and do not make another one. So
-    do the terrain, its surface and who renders it: nothing that is calibrated depends on them.
-    It is a number below 2^31, as trackers have.
+    do the terrain, its surface, the size of the lamp and who renders it: nothing that is calibrated
+    depends on them. It is a number below 2^31, as trackers have.
     """
     parts = {
         "laboratory": spec.model_dump(mode="json"),
-        "world": config.model_dump(mode="json", exclude={"faults", "terrain", "surface"}),
+        "world": config.model_dump(
+            mode="json",
+            exclude={"faults": True, "terrain": True, "surface": True, "lamp": {"radius_m"}},
+        ),
     }
     digest = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).digest()
     return str(int.from_bytes(digest[:4]) >> 1)

@@ -2,7 +2,7 @@
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,11 +76,13 @@ class World:
     @property
     def lamp(self) -> Lamp:
         """Get the lamp as it burns at full light."""
-        return lamp_as_designed(
+        lamp = lamp_as_designed(
             self.spec.lamp,
             self.laboratory.p_light_trs_m,
             intensity=self.config.lamp.intensity_w_per_sr / np.pi,
         )
+        radius_m = self.config.lamp.radius_m
+        return lamp if radius_m is None else replace(lamp, radius_m=radius_m)
 
     @property
     def robot_at(self) -> RobotTarget:

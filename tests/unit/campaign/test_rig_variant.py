@@ -72,8 +72,8 @@ def test_devices_taken_over_keep_their_folder_and_their_lines(tmp_path: Path):
     (tmp_path / "lab").mkdir()
     wire = write(tmp_path / "lab" / "wire.yaml", text.replace("port: 10700", "prot: 1"))
     rig = load_rig(write(tmp_path / "mine.yaml", "extends: lab/wire.yaml\nworld: {seed: 7}\n"))
-    context = rig.device_context("room", seed=0, session="run", world=None)
-    assert context.base_dir == wire.parent
+    dimmer = rig.config.devices.room.options["dimmer"]["path"]
+    assert dimmer == str(wire.parent / "../../out/wire/dimmer")
     line = 1 + text[: text.index("port: 10700")].count("\n")
     with pytest.raises(ConfigError, match=rf"^{wire}:{line}: devices\.tracker\.options\.prot: "):
         rig.open_devices(0)

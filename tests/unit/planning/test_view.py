@@ -58,7 +58,14 @@ def test_looking_past_the_model_is_refused_once():
     view = view_at(looking((1.1, 2.1, 3.0), boresight=(0.0, 0.0, 1.0)))
     findings = view_findings(view, allowed_range_m=(0.3, 9.0), min_usable_fraction=0.0)
     assert [finding.check for finding in findings] == ["view"]
-    assert "misses the terrain" in findings[0].text
+    assert "does not meet the ground" in findings[0].text
+
+
+def test_beside_the_model_the_ground_is_the_plane_of_its_mean_height():
+    """Straight down from 3 m, 1 m off the edge; and tilted by 30 degrees."""
+    assert view_at(looking((-1.0, 2.1, 3.0))).range_los_m == pytest.approx(3.0)
+    tilted = looking((-1.0, 2.1, 3.0), boresight=(0.0, -0.5, -np.cos(np.radians(30))))
+    assert view_at(tilted).range_los_m == pytest.approx(3.0 / np.cos(np.radians(30)))
 
 
 def test_findings_name_value_and_limit():

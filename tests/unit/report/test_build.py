@@ -2,6 +2,7 @@
 
 import re
 import shutil
+from html import escape
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from tronlab.errors import ScoreError
 from tronlab.report import build, evaluation
 from tronlab.report.build import ReportSettings, build_report
 from tronlab.report.evaluation import EvaluationSettings
+from tronlab.report.worst import reasons_of, worst_answers
 from tronlab.score.evaluation.recall import Threshold
 from tronlab.score.results import load_results
 
@@ -121,6 +123,20 @@ def test_page_needs_nothing_beside_itself(score_by_hand):
     assert not {"script", "link", "iframe"} & page.tags
     assert not re.search(r"url\(|@import", path.read_text(encoding="utf-8"))
     assert sum(link.startswith("data:") for link in page.links) == 2 * len(CORES) + 7
+
+
+@blank_figures
+def test_page_says_why_beside_picture_and_in_table(score_by_hand):
+    directory = score_by_hand({"fine": 0.0005, "blind": None})
+    page = build_report(directory).read_text(encoding="utf-8")
+    results = load_results(directory)
+    keys = [answer.key for answer in worst_answers(results.scores)]
+    sentences = {key[0]: reason.sentence for key, reason in reasons_of(results, keys).items()}
+    assert sentences["blind"].startswith("No pose: ")
+    table = pd.read_csv(directory / "tables" / "worst_shots.csv").groupby("core").first()
+    for core, sentence in sentences.items():
+        assert page.count(f'<figcaption class="note">{escape(sentence)}</figcaption>') == 1
+        assert table.loc[core, "reason"] == sentence
 
 
 @blank_figures

@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from tronlab.terrain import load, tiled
-from tronlab.terrain.config import DemTerrain, FileTerrain, ProceduralTerrain
+from tronlab.terrain.config import (
+    DemTerrain,
+    FileTerrain,
+    ProceduralTerrain,
+    ScanConfig,
+    ScannedTerrain,
+)
 from tronlab.terrain.heightmap import TerrainError
 from tronlab.terrain.load import load_terrain, make_dem
 
@@ -188,3 +194,46 @@ def test_a_terrain_model_of_ones_own(tmp_path, announced, small_memory):
     np.testing.assert_array_equal(moved.height_m, heightmap.height_m)
     with pytest.raises(TerrainError, match=r"none\.npy does not exist; a relative path"):
         load_again(DemTerrain(path=Path("none.npy")), base_dir=tmp_path)
+
+
+def test_a_scan_of_a_terrain_differs_by_what_the_scanner_adds(announced, cache_folder):
+    noisy = ScannedTerrain(of=CONFIG, scan=ScanConfig(noise_sigma_m=1e-4))
+    true = load_again(announced=announced)
+    scanned = load_again(noisy, announced=announced)
+    assert (scanned.height_m - true.height_m).std() == pytest.approx(1e-4, rel=0.05)
+    np.testing.assert_array_equal(scanned.origin_trs_m, true.origin_trs_m)
+    told = len(announced)
+    np.testing.assert_array_equal(load_again(noisy, announced=announced).height_m, scanned.height_m)
+    assert len(announced) == told  # it came from the cache
+
+
+def test_a_perfect_scan_of_a_file_is_the_file_and_follows_its_contents(tmp_path):
+    make_dem(CONFIG, tmp_path / "model.npy")
+    config = ScannedTerrain(of=DemTerrain(path=Path("model.npy")))
+    assert config.files == (Path("model.npy"),)
+    first = load_again(config, base_dir=tmp_path)
+    np.testing.assert_allclose(first.height_m, load_again().height_m, atol=1e-7)
+    make_dem(CONFIG.model_copy(update={"seed": 2}), tmp_path / "model.npy")
+    assert not np.array_equal(load_again(config, base_dir=tmp_path).height_m, first.height_m)
+
+
+def test_a_scan_stands_where_the_scanned_terrain_stands():
+    config = ScannedTerrain(of=CONFIG.model_copy(update={"origin_trs_m": (1.0, 2.0, 3.0)}))
+    load_again(ScannedTerrain(of=CONFIG))
+    np.testing.assert_array_equal(load_again(config).origin_trs_m, [1, 2, 3])
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        ScannedTerrain(of=CONFIG, scan=ScanConfig(noise_sigma_m=2e-4)),
+        ScannedTerrain(of=CONFIG, scan=ScanConfig(noise_sigma_m=1e-4, spacing_m=0.004)),
+        ScannedTerrain(
+            of=CONFIG.model_copy(update={"seed": 2}), scan=ScanConfig(noise_sigma_m=1e-4)
+        ),
+    ],
+)
+def test_another_scan_is_not_taken_for_one_that_is_kept(other):
+    first = load_again(ScannedTerrain(of=CONFIG, scan=ScanConfig(noise_sigma_m=1e-4)))
+    second = load_again(other)
+    assert not np.array_equal(first.height_m, second.height_m)

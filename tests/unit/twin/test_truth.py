@@ -201,6 +201,13 @@ def test_faults_do_not_make_another_laboratory(spec: LaboratorySpec, config: Wor
     assert serial_number(spec, faulty) == serial_number(spec, config)
 
 
+def test_the_size_of_the_lamp_does_not_make_another_laboratory(
+    spec: LaboratorySpec, config: WorldConfig
+):
+    large = config.model_copy(update={"lamp": config.lamp.model_copy(update={"radius_m": 0.1})})
+    assert serial_number(spec, large) == serial_number(spec, config)
+
+
 def test_another_surface_and_renderer_do_not_make_another_laboratory(
     spec: LaboratorySpec, config: WorldConfig
 ):

@@ -215,3 +215,15 @@ def test_twin_yaml_camera_is_nominally_upright_before_the_model(spec, look_at):
 
 def test_the_room_is_dark_until_the_lamp_is_switched_on(setup):
     assert not World(setup).truth.is_lamp_on
+
+
+@pytest.mark.parametrize(("true_m", "expected_m"), [(None, 0.03), (0.0, 0.0), (0.08, 0.08)])
+def test_the_lamp_is_as_large_as_it_really_is(config, spec, true_m, expected_m):
+    spec = spec.model_copy(update={"lamp": spec.lamp.model_copy(update={"radius_m": 0.03})})
+    lamp = config.lamp.model_copy(update={"radius_m": true_m})
+    setup = WorldSetup(
+        config=config.model_copy(update={"lamp": lamp}),
+        laboratory=spec,
+        load_heightmap=lambda: pytest.fail("no image is taken"),
+    )
+    assert World(setup).lamp.radius_m == expected_m

@@ -17,6 +17,7 @@ from tronlab.nav.pose.projection import (
     jacobian_px,
     residuals_px,
 )
+from tronlab.nav.pose.smooth_noise import unit_covariance
 
 TUKEY_CUT = 5.1
 """Residual, in standard deviations of one coordinate, from which a match has no weight: about 95 %
@@ -48,7 +49,10 @@ class PoseEstimate:
     """Which correspondences have weight, shape (n,)."""
     sigma_px: float
     """Standard deviation of one coordinate of the most certain positions, with what the weights
-    cost: the one that the covariance comes from."""
+    cost."""
+    smooth_ratio: float
+    """Variance of the position over what independent noise of ``sigma_px`` would make it, 1 or
+    more; see ``smooth_noise``."""
 
     @property
     def noise_px(self) -> float:
@@ -110,23 +114,26 @@ def _jacobian(arm_m: FloatArray, rotation: FloatArray, camera: CameraModel) -> F
 def _estimate(
     pose: RigidTransform, matches: Correspondences, camera: CameraModel, *, sigma: float
 ) -> PoseEstimate:
-    """Give the estimate with the covariance of an M-estimator (Huber, Robust Statistics, 7.6)."""
+    """Give the estimate with the covariance of an M-estimator (Huber, Robust Statistics, 7.6).
+
+    Huber's is for independent noise; smooth noise, which a pose follows, may be stronger.
+    """
     residuals = residuals_px(pose, matches, camera) / matches.scale[:, None]
-    length = np.linalg.norm(residuals, axis=1)
-    q = (length / (TUKEY_CUT * sigma)) ** 2
+    q = (np.linalg.norm(residuals, axis=1) / (TUKEY_CUT * sigma)) ** 2
     is_inlier = q < 1.0
-    n = int(is_inlier.sum())
-    need(n, MIN_POINTS, "agreeing matches")
-    weights = _tukey(np.sqrt(q[is_inlier]))
-    psi_squared = float((weights**2 * length[is_inlier] ** 2).sum() / (2 * n - 6))
-    slope = float(((1.0 - q[is_inlier]) * (1.0 - 3.0 * q[is_inlier])).mean())
+    inliers, residuals, q = matches.take(is_inlier), residuals[is_inlier], q[is_inlier]
+    need(len(inliers), MIN_POINTS, "agreeing matches")
+    psi = _tukey(np.sqrt(q))[:, None] * residuals
+    psi_squared = float((psi**2).sum() / (2 * len(inliers) - 6))
+    slope = float(((1.0 - q) * (1.0 - 3.0 * q)).mean())
     if slope <= 0:
         raise NoPoseError("the residuals look like no measurement noise: the covariance is unknown")
-    jacobian = jacobian_px(pose, matches.take(is_inlier), camera)
-    jacobian /= matches.scale[is_inlier, None, None]
+    jacobian = jacobian_px(pose, inliers, camera) / inliers.scale[:, None, None]
     information = np.einsum("nij,nik->jk", jacobian, jacobian)
-    covariance = psi_squared / slope**2 * invert_information(information)
-    return PoseEstimate(pose, covariance, is_inlier, float(np.sqrt(psi_squared) / slope))
+    sigma_px = float(np.sqrt(psi_squared) / slope)
+    unit, independent = unit_covariance(inliers, psi, jacobian), invert_information(information)
+    ratio = float(np.trace(unit[3:, 3:]) / np.trace(independent[3:, 3:]))
+    return PoseEstimate(pose, sigma_px**2 * unit, is_inlier, sigma_px, ratio)
 
 
 def _solve(jacobian: FloatArray, residuals: FloatArray, weights: FloatArray) -> FloatArray:

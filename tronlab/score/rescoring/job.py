@@ -316,7 +316,7 @@ def _check_shots(dataset: Dataset, announce: Announce) -> None:
         raise ScoreError(f"{path}: holds no shots: there is nothing to score")
     n_planned = dataset.provenance.n_shots_planned
     if dataset.n_shots < n_planned:
-        announce(f"{path}: is incomplete: {dataset.n_shots} of {n_planned} shots")
+        announce(f"{path}: has {dataset.n_shots} of {n_planned} planned shots")
     if dataset.drift_checks:
         for doubt in doubts(dataset.shot_ids.tolist(), dataset.truth_states):
             announce(f"{path}: {doubt}; scored and flagged like that")

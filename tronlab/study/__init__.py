@@ -1,0 +1,1 @@
+"""A study: many campaigns recorded, scored, taken apart and reported by one command."""
