@@ -9,7 +9,8 @@ from matplotlib.figure import Figure
 from scipy.spatial.transform import RigidTransform
 
 from tronlab.geometry.poses import FloatArray
-from tronlab.report.study_trajectories import (
+from tronlab.report.style import drawn_names, legend_above, new_figure, style_context
+from tronlab.report.trajectory_scene import (
     NOMINAL_COLOUR,
     PERTURBED_COLOUR,
     ModelOutline,
@@ -17,7 +18,6 @@ from tronlab.report.study_trajectories import (
     PointsPanel,
     trajectory_figure,
 )
-from tronlab.report.style import drawn_names, legend_above, new_figure, style_context
 from tronlab.terrain.heightmap import HeightMap
 from tronlab.trajectory.cone_programme import Flight
 from tronlab.trajectory.descent import NOMINAL, DescentSet, tilt_rad

@@ -24,8 +24,8 @@ def report_steps(study: Study) -> list[Step]:
 
 
 def _write_report(desk: Desk, *, study: Study) -> None:
-    from tronlab.report.study_build import build_study_report
-    from tronlab.report.study_results import read_study
+    from tronlab.report.study.build import build_study_report
+    from tronlab.report.study.results import read_study
     from tronlab.study.scenery import scenery_of
 
     results = read_study(desk.out, datasets=study.datasets, larger=study.larger)

@@ -14,8 +14,8 @@ from tronlab.dataset.reader import Dataset
 from tronlab.geometry.poses import FloatArray
 from tronlab.render.mask import model_mask
 from tronlab.render.registry import open_renderer
-from tronlab.report.study_gallery import MaskedView, Scenery
-from tronlab.report.study_trajectories import ModelOutline
+from tronlab.report.study.gallery import MaskedView, Scenery
+from tronlab.report.trajectory_scene import ModelOutline
 from tronlab.study.config import DatasetName
 from tronlab.study.recording import recording_of
 from tronlab.study.steps import Desk

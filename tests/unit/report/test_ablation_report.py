@@ -4,9 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tronlab.report.ablation_charts import cost_chart, dataset_costs_chart
-from tronlab.report.limits_charts import limits_chart, shares_chart
-from tronlab.report.limits_text import cost_sentences, limit_sentences
+from tronlab.report.study.ablation_charts import cost_chart, dataset_costs_chart
+from tronlab.report.study.limits_charts import limits_chart, shares_chart
+from tronlab.report.study.limits_text import cost_sentences, limit_sentences
 from tronlab.score.evaluation.ablation import PARTS
 
 CORE = "akaze-refined"

@@ -7,16 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.colors import to_hex
+from study_tables import rank_table, scores_of, write_scores, write_study
 
-from tests.support.study_tables import rank_table, scores_of, write_scores, write_study
 from tronlab.errors import ScoreError
 from tronlab.geometry.poses import pose_along_boresight
-from tronlab.report import study_gallery, study_sections
-from tronlab.report.study_build import build_study_report
-from tronlab.report.study_charts import Measure, error_over_perturbation
-from tronlab.report.study_gallery import MaskedView, Scenery, mask_figure
-from tronlab.report.study_results import read_study
-from tronlab.report.study_trajectories import (
+from tronlab.report.study import gallery, sections
+from tronlab.report.study.build import build_study_report
+from tronlab.report.study.charts import Measure, error_over_perturbation
+from tronlab.report.study.gallery import MaskedView, Scenery, mask_figure
+from tronlab.report.study.results import read_study
+from tronlab.report.style import AXIS_COLOURS, core_styles
+from tronlab.report.trajectory_scene import (
     NOMINAL_COLOUR,
     PERTURBED_COLOUR,
     TRS_COLOURS,
@@ -25,7 +26,6 @@ from tronlab.report.study_trajectories import (
     PointsPanel,
     trajectory_figure,
 )
-from tronlab.report.style import AXIS_COLOURS, core_styles
 
 MODEL = ModelOutline((0.0, 0.0, 0.1), (2.2, 4.2))
 LINE = np.linspace([1.08, 2.08, 4.0], [1.08, 2.08, 1.0], 61)
@@ -50,9 +50,9 @@ def quickly_saved(monkeypatch):
         path.write_bytes(stem.encode())
         return path
 
-    for module in (study_gallery, study_sections):
+    for module in (gallery, sections):
         monkeypatch.setattr(module, "save_chart", save)
-    monkeypatch.setattr(study_gallery, "save_picture", save)
+    monkeypatch.setattr(gallery, "save_picture", save)
     return saved
 
 
@@ -103,7 +103,7 @@ def test_page_has_every_figure_answer_and_link(out, quickly_saved):
 @pytest.mark.usefixtures("quickly_saved")
 def test_page_that_cannot_be_written_leaves_the_old_one(out, monkeypatch):
     (out / "report.html").write_text("the old one")
-    monkeypatch.setattr(study_gallery, "error_histograms", _fails)
+    monkeypatch.setattr(gallery, "error_histograms", _fails)
     with pytest.raises(ScoreError, match="the report cannot be written: no space left"):
         page_of(out)
     assert (out / "report.html").read_text() == "the old one"

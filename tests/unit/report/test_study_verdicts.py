@@ -3,17 +3,17 @@
 import numpy as np
 import pandas as pd
 import pytest
-
-from tests.support.study_tables import (
+from study_tables import (
     load_table,
     rank_table,
     scores_of,
     selection_table,
     write_scores,
 )
+
 from tronlab.errors import ScoreError
 from tronlab.report.paper import DATASETS, TABLE_1, detector_of, is_refined
-from tronlab.report.study_answers import (
+from tronlab.report.study.answers import (
     estimate_text,
     larger_terrain_answer,
     load_answer,
@@ -21,10 +21,10 @@ from tronlab.report.study_answers import (
     selection_answer,
     selection_details,
 )
-from tronlab.report.study_comparisons import compare_terrains
-from tronlab.report.study_requirements import requirements, verdict_sentence
-from tronlab.report.study_results import StudyResults, read_study
-from tronlab.report.study_tables import (
+from tronlab.report.study.comparisons import compare_terrains
+from tronlab.report.study.requirements import requirements, verdict_sentence
+from tronlab.report.study.results import StudyResults, read_study
+from tronlab.report.study.tables import (
     bound_table,
     counts_table,
     published_table,

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from tronlab.report.page import render_template
-from tronlab.report.study_gallery import Captioned, Plate
+from tronlab.report.study.gallery import Captioned, Plate
 from tronlab.score.evaluation.export import Table
 
 

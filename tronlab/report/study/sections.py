@@ -7,36 +7,36 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.figure import Figure
 
-from tronlab.report.ablation_charts import cost_chart
-from tronlab.report.limits_charts import limits_chart, shares_chart
-from tronlab.report.limits_text import cost_sentences, limit_sentences
 from tronlab.report.page import PageFigure
 from tronlab.report.paper import DATASETS, SOURCE, TABLE_1, TABLE_2
 from tronlab.report.statistics_charts import error_boxes
 from tronlab.report.statistics_tables import INTERVALS, bins_table
-from tronlab.report.study_answers import (
+from tronlab.report.study.ablation_charts import cost_chart
+from tronlab.report.study.answers import (
     larger_terrain_answer,
     load_answer,
     perturbation_answer,
     selection_answer,
     selection_details,
 )
-from tronlab.report.study_charts import (
+from tronlab.report.study.charts import (
     NO_RANK,
     larger_terrain_chart,
     load_chart,
     selection_chart,
 )
-from tronlab.report.study_comparisons import (
+from tronlab.report.study.comparisons import (
     compare_cores,
     compare_terrains,
     cores_table,
     larger_table,
 )
-from tronlab.report.study_gallery import Captioned, Scenery
-from tronlab.report.study_page import Section
-from tronlab.report.study_results import StudyResults, select
-from tronlab.report.study_tables import (
+from tronlab.report.study.gallery import Captioned, Scenery
+from tronlab.report.study.limits_charts import limits_chart, shares_chart
+from tronlab.report.study.limits_text import cost_sentences, limit_sentences
+from tronlab.report.study.page import Section
+from tronlab.report.study.results import StudyResults, select
+from tronlab.report.study.tables import (
     bound_table,
     counts_table,
     errors_table,

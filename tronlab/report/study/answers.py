@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 
 from tronlab.report.paper import DATASETS, PAPER_CORES
-from tronlab.report.study_charts import correlation_text, drawn_selection, probability_text
-from tronlab.report.study_results import select
-from tronlab.report.study_tables import METRIC, Scores
+from tronlab.report.study.charts import correlation_text, drawn_selection, probability_text
+from tronlab.report.study.results import select
+from tronlab.report.study.tables import METRIC, Scores
 from tronlab.report.tables import by_core
 from tronlab.score.evaluation.compare import Comparison
 from tronlab.score.evaluation.resampling import Estimate

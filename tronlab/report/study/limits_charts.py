@@ -8,8 +8,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from tronlab.report.ablation_charts import KIND_COLOURS
 from tronlab.report.curves import log_axis
+from tronlab.report.study.ablation_charts import KIND_COLOURS
 from tronlab.report.style import (
     core_styles,
     drawn_names,

@@ -17,19 +17,13 @@ from tronlab.geometry.poses import FloatArray
 from tronlab.report.histograms import error_histograms
 from tronlab.report.page import PageFigure
 from tronlab.report.paper import DATASETS, PAPER_CORES, detector_of, is_refined
-from tronlab.report.study_charts import (
+from tronlab.report.study.charts import (
     NO_RANK,
     Measure,
     error_over_perturbation,
     position_over_rotation,
 )
-from tronlab.report.study_results import StudyResults
-from tronlab.report.study_trajectories import (
-    ModelOutline,
-    Points,
-    PointsPanel,
-    trajectory_figure,
-)
+from tronlab.report.study.results import StudyResults
 from tronlab.report.style import (
     CoreStyle,
     core_styles,
@@ -37,6 +31,12 @@ from tronlab.report.style import (
     save_chart,
     save_picture,
     style_context,
+)
+from tronlab.report.trajectory_scene import (
+    ModelOutline,
+    Points,
+    PointsPanel,
+    trajectory_figure,
 )
 
 _DECIMALS = 6

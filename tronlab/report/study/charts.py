@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from tronlab.geometry.poses import FloatArray
 from tronlab.report.curves import ERROR_LABEL, SMALLEST_ERROR_PCT_LOS, log_axis
 from tronlab.report.paper import DATASETS
-from tronlab.report.study_results import select
+from tronlab.report.study.results import select
 from tronlab.report.style import (
     CoreStyle,
     drawn_names,

@@ -16,7 +16,7 @@ from tronlab.report.paper import (
     PublishedErrors,
     is_refined,
 )
-from tronlab.report.study_results import StudyResults
+from tronlab.report.study.results import StudyResults
 from tronlab.report.tables import by_core
 from tronlab.score.evaluation.consistency import efficiency
 from tronlab.score.evaluation.export import MISSING, Column, Table

@@ -10,15 +10,15 @@ import pandas as pd
 
 from tronlab.errors import ScoreError
 from tronlab.report.paper import DATASETS
-from tronlab.report.study_gallery import Scenery, draw_gallery
-from tronlab.report.study_page import StudyPage, WorstShot, render_study
-from tronlab.report.study_requirements import (
+from tronlab.report.study.gallery import Scenery, draw_gallery
+from tronlab.report.study.page import StudyPage, WorstShot, render_study
+from tronlab.report.study.requirements import (
     requirements,
     requirements_table,
     verdict_sentence,
 )
-from tronlab.report.study_results import DATASETS_FOLDER, LARGER_FOLDER, StudyResults
-from tronlab.report.study_sections import (
+from tronlab.report.study.results import DATASETS_FOLDER, LARGER_FOLDER, StudyResults
+from tronlab.report.study.sections import (
     Studio,
     beyond_sections,
     published_section,

@@ -6,7 +6,7 @@ from itertools import pairwise
 import pandas as pd
 
 from tronlab.report.paper import DATASETS, PAPER_CORES, is_refined
-from tronlab.report.study_tables import METRIC, Scores
+from tronlab.report.study.tables import METRIC, Scores
 from tronlab.report.tables import by_core
 from tronlab.score.evaluation.compare import Comparison, compare
 from tronlab.score.evaluation.export import Cell, Column, Table

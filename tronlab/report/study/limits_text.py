@@ -6,7 +6,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import pandas as pd
 
-from tronlab.report.limits_charts import PART_TITLES
+from tronlab.report.study.limits_charts import PART_TITLES
 from tronlab.score.evaluation.ablation import ALL, EFFICIENT_MEDIAN, NONE, PARTS, TOGETHER
 from tronlab.score.evaluation.consistency import N_SIGMA_TRUTH
 
