@@ -370,4 +370,8 @@ def _child(node: dict[str, Any], part: int | str) -> dict[str, Any]:
     if isinstance(part, int):
         items = node.get("prefixItems", ())
         return items[part] if part < len(items) else node.get("items", {})
-    return node.get("properties", {}).get(part, {})
+    if part in node.get("properties", {}):
+        return node["properties"][part]
+    # Values by names of the user's own: a schema, or whether any are allowed.
+    named = next(iter(node.get("patternProperties", {}).values()), node.get("additionalProperties"))
+    return named if isinstance(named, dict) else {}

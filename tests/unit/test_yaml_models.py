@@ -1,3 +1,4 @@
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -13,6 +14,8 @@ from tronlab.yaml_models import (
     load_model,
     parse_model,
 )
+
+Name = Annotated[str, Field(pattern=r"^[a-z]+$")]
 
 
 class Line(Model):
@@ -43,6 +46,8 @@ class Document(Model):
     trajectory: Annotated[Line | File, Field(discriminator="kind")]
     range: Range | None = None
     extra: tuple[Line, ...] = ()
+    named: Mapping[Name, Range] = {}
+    ranges: Mapping[str, Range] = {}
     colour: Literal["red", "green"] = "red"
 
 
@@ -80,11 +85,21 @@ def test_good_file_is_read_as_yaml_1_2(tmp_path: Path) -> None:
         ),
         pytest.param(
             GOOD + "zzz: 4\n",
-            "/a.yaml:5: zzz: unknown key; known keys: name, trajectory, range, extra, colour",
+            "/a.yaml:5: zzz: unknown key; known keys: name, trajectory, range, extra, named,",
             id="unknown key like none",
         ),
         pytest.param(
             GOOD + "1: 4\n", "/a.yaml:5: 1: unknown key; known keys: ", id="number as key"
+        ),
+        pytest.param(
+            GOOD + "named:\n  one: {low_m: 1, high_m: 2, low_mm: 3}\n",
+            "/a.yaml:6: named.one.low_mm: unknown key, did you mean low_m (in metres)?",
+            id="below a name of the user's own",
+        ),
+        pytest.param(
+            GOOD + "ranges:\n  one: {low_m: 1, high_m: 2, low_mm: 3}\n",
+            "/a.yaml:6: ranges.one.low_mm: unknown key, did you mean low_m (in metres)?",
+            id="below any name",
         ),
         pytest.param(
             GOOD + "range:\n  low_mm: 1\n  low_m: 1\n  high_m: 2\n",

@@ -344,6 +344,18 @@ class Campaign:
         """Get everything that was read, for provenance."""
         return self.document.whole_text
 
+    def placed(self, error: ConfigError, *section: str) -> ConfigError:
+        """Say where in this file a complaint about a key belongs, unless it says so already.
+
+        Args:
+            error: With the key as those write it who do not know the file.
+            section: Keys above that one, outermost first.
+        """
+        if error.path is not None or error.key is None:
+            return error
+        message = str(error).removeprefix(f"{error.key}: ")
+        return self.error(message, *section, *error.key.split("."))
+
     def error(self, message: str, *location: int | str) -> ConfigError:
         """Make an error about a key, with the file and the line it stands in."""
         return self.document.error(message, *location)

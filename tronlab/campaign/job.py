@@ -19,6 +19,7 @@ from tronlab.nav.specs import parse_core
 from tronlab.planning.shots import Plan, database_indices, make_plan
 from tronlab.render.registry import check_renderer
 from tronlab.render.renderer import Lamp, RenderError, lamp_as_designed
+from tronlab.trajectory.config import TrajectoryConfig
 from tronlab.trajectory.poses import camera_poses
 from tronlab.yaml_models import read_text
 
@@ -82,7 +83,7 @@ def read_job(files: Files, *, seed: int | None, acceptance: Acceptance) -> Job:
     _check_image_size(calibration, rig)
     _check_cores(campaign)
     _check_renderers(campaign, rig)
-    poses = camera_poses(campaign.config.trajectory)
+    poses = campaign_poses(campaign)
     plan = make_plan(poses, mounting=calibration.mounting(rig.config.laboratory.mounting))
     return Job(
         campaign=campaign,
@@ -94,6 +95,25 @@ def read_job(files: Files, *, seed: int | None, acceptance: Acceptance) -> Job:
         reference_poses=_reference_poses(campaign, poses),
         seed=campaign.config.seed if seed is None else seed,
     )
+
+
+def campaign_poses(campaign: Campaign) -> tuple[RigidTransform, ...]:
+    """Give ``trs_from_cam`` of every pose of a campaign's trajectory, in their order.
+
+    Raises:
+        ConfigError: A pose file cannot be read, or no lander could fly so.
+    """
+    return _placed_poses(campaign, campaign.config.trajectory)
+
+
+def _placed_poses(
+    campaign: Campaign, trajectory: TrajectoryConfig, *section: str
+) -> tuple[RigidTransform, ...]:
+    """Give the poses of a trajectory; what cannot be flown is said where the file says so."""
+    try:
+        return camera_poses(trajectory)
+    except ConfigError as error:
+        raise campaign.placed(error, *section) from None
 
 
 def new_dataset_path(out_dir: Path) -> Path:
@@ -164,7 +184,7 @@ def _reference_poses(
     """Choose the poses of the reference views: by default of the campaign's own trajectory."""
     database = campaign.config.database
     if database.trajectory is not None:
-        poses = camera_poses(database.trajectory)
+        poses = _placed_poses(campaign, database.trajectory, "database")
     try:
         chosen = database_indices(len(poses), n_views=database.n_views or len(poses))
     except PlanError as error:

@@ -29,6 +29,9 @@ from tronlab.dataset.records import SessionKind
 from tronlab.errors import ConfigError
 from tronlab.planning.shots import Shot
 from tronlab.planning.summary import brief_summary
+from tronlab.trajectory.config import PoweredDescent
+from tronlab.trajectory.descent import fly
+from tronlab.trajectory.summary import describe_rejected
 
 __all__ = ["CampaignInterrupted", "resume_campaign", "retake_shots", "run_campaign"]
 
@@ -76,6 +79,7 @@ def run_campaign(
     acceptance = Acceptance(is_calibration_accepted, warn=live.announce)
     files = Files(campaign_path, rig_path, calibration_path)
     job = read_job(files, seed=seed, acceptance=acceptance)
+    _tell_of_rejected_starts(job, live)
     path = new_dataset_path(out_dir or DEFAULT_OUT_DIR / job.campaign.name)
     with _folder(path.parent), run_lock(path):
         foresight = _foresee(job, job.plan.shots, live)
@@ -229,6 +233,14 @@ def _go_on(
         )
         record(assignment, live=live, stop=stop, console=console)
     return path
+
+
+def _tell_of_rejected_starts(job: Job, live: Live) -> None:
+    """Say which perturbed starts were drawn anew; the descents themselves are found already."""
+    trajectory = job.campaign.config.trajectory
+    if isinstance(trajectory, PoweredDescent):
+        for line in describe_rejected(fly(trajectory)):
+            live.announce(line)
 
 
 def _foresee(job: Job, shots: Sequence[Shot], live: Live) -> Foresight:

@@ -32,15 +32,15 @@ def budget(
     from tronlab.calib.budget_table import budget_table
     from tronlab.calib.record import CalibrationRecord
     from tronlab.campaign.config import load_campaign
+    from tronlab.campaign.job import campaign_poses
     from tronlab.report.calibration import save_budget
-    from tronlab.trajectory.poses import camera_poses
 
     calibration = CalibrationRecord.load(record)
     if campaign is None:
         poses = sweep(calibration)
     else:
         overridden = {"rig", "calibration"}
-        poses = camera_poses(load_campaign(campaign, overridden=overridden).config.trajectory)
+        poses = campaign_poses(load_campaign(campaign, overridden=overridden))
     made = error_budget(calibration, poses)
     typer.echo(budget_table(made))
     try:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tronlab.cli.exit_codes import INTERRUPTED
+from tronlab.errors import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -86,10 +87,13 @@ def _fly(campaign: "Campaign", live: "Live") -> "DescentSet | None":
     config = campaign.config.trajectory
     if not isinstance(config, PoweredDescent):
         return None
-    return fly(
-        config,
-        on_descent=lambda n_done, n_all: live.advance("descents", n_done=n_done, n_all=n_all),
-    )
+    try:
+        return fly(
+            config,
+            on_descent=lambda n_done, n_all: live.advance("descents", n_done=n_done, n_all=n_all),
+        )
+    except ConfigError as error:
+        raise campaign.placed(error) from None
 
 
 def _write(

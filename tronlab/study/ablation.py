@@ -6,7 +6,6 @@ from functools import partial, reduce
 from pathlib import Path
 from typing import Any
 
-from tronlab.dataset.location import DATASET_NAME
 from tronlab.score.evaluation.ablation import ALL, KINDS, NONE, Kind, Source, only, without
 from tronlab.study.config import DatasetName, MeasuredPart, SourceConfig
 from tronlab.study.keys import RECORDING_CODE, SCORING_CODE, key_of
@@ -14,14 +13,15 @@ from tronlab.study.recording import (
     SCORES_NAME,
     Recording,
     calibration_steps,
-    merged,
     recording_of,
     recording_steps,
+    score_datasets,
 )
 from tronlab.study.steps import Desk, Step
 from tronlab.study.study import Study
 from tronlab.study.variants import Variant, write_variant
 from tronlab.study.writing import replace_text
+from tronlab.yaml_variants import merged
 
 FOLDER = Path("ablation")
 COSTS_FILE = FOLDER / "ablation.csv"
@@ -156,7 +156,12 @@ def _record_step(
     rig = Variant(study.rig_file(dataset), variant.rig)
     return Step(
         f"calibration of {laboratory}, {variant.name}",
-        key_of(code=RECORDING_CODE, after=[measured], rig=rig.key, known=variant.known),
+        key_of(
+            code=(*RECORDING_CODE, "study/known_truth.py"),
+            after=[measured],
+            rig=rig.key,
+            known=variant.known,
+        ),
         cost=1.0,
         run=partial(
             _make_record, rig=rig, known=variant.known, measured=measured.results[0], record=record
@@ -225,27 +230,7 @@ def _make_record(
 
 
 def _score(desk: Desk, *, folders: Sequence[Path], cores: Sequence[str]) -> None:
-    from tronlab.nav.specs import parse_cores
-    from tronlab.score.rescore import score_jobs
-    from tronlab.score.rescoring.cache import usual_cache_folder
-    from tronlab.score.rescoring.job import ScoreJob
-    from tronlab.score.rescoring.workers import ProcessExecutor
-
-    jobs = [
-        ScoreJob(
-            desk.out / folder / DATASET_NAME,
-            parse_cores(cores),
-            desk.out / folder,
-            cache_dir=usual_cache_folder(),
-        )
-        for folder in folders
-    ]
-    score_jobs(
-        jobs,
-        executor=ProcessExecutor(desk.n_workers),
-        progress=lambda done, n: desk.live.advance("score", n_done=done, n_all=n),
-        announce=desk.live.announce,
-    )
+    score_datasets(desk, cores, [desk.out / folder for folder in folders])
 
 
 def _tabulate(

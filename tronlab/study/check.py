@@ -111,11 +111,21 @@ def _wrong_settings(study: Study) -> Iterator[ConfigError]:
             )
             continue
         try:
-            core_settings(variant.base, variant.settings)
+            settings = core_settings(variant.base, variant.settings)
         except ConfigError as error:
             inner = f"settings of {variant.base}"
             yield from (
                 _told_of(study, part, (*location, "settings"), inner) for part in error.parts
+            )
+            continue
+        is_by_scores = variant.prune_to is not None and variant.prune_by == "scores"
+        if is_by_scores and settings.detector != core_settings(variant.base, {}).detector:
+            yield study.error(
+                f"scores of {variant.base} choose among the landmarks of its own detector; leave"
+                " the detector as it is, or take another prune_by",
+                *location,
+                "settings",
+                "detector",
             )
 
 

@@ -26,6 +26,7 @@ RECORDING_CODE = (
     "devices",
     "kinematics",
     "geometry",
+    "yaml_variants.py",
 )
 """Packages that shape a calibration record or a dataset."""
 SCORING_CODE = ("nav", "score", "geometry", "dataset")
@@ -34,7 +35,15 @@ REPORT_CODE = ("report", "score")
 """Packages that shape figures and pages."""
 
 _PACKAGE = Path(__file__).parent.parent
-_LIBRARIES = ("numpy", "scipy", "numba", "opencv-python-headless", "opencv-python", "poselib")
+_LIBRARIES = (
+    "numpy",
+    "scipy",
+    "numba",
+    "clarabel",
+    "opencv-python-headless",
+    "opencv-python",
+    "poselib",
+)
 _YAML_SUFFIXES = (".yaml", ".yml")
 
 
@@ -94,7 +103,7 @@ def _read(path: Path) -> _Contents:
     if path.suffix not in _YAML_SUFFIXES:
         with path.open("rb") as file:
             return _Contents(hashlib.file_digest(file, _new_digest).hexdigest())
-    text = path.read_text(encoding="utf-8")
+    text = path.read_text(encoding="utf-8", errors="replace")
     try:
         document = YAML(typ="safe", pure=True).load(text)
     except YAMLError:  # others complain about it

@@ -67,7 +67,13 @@ class Ledger:
         return _most([entry.peak_memory_mb for entry in self.entries.values()])
 
     def begin(self, step: Step) -> None:
-        """Note that a step begins."""
+        """Note that a step begins; results of another key go away first.
+
+        Else a step that is stopped before it clears up would go on with them.
+        """
+        if not self.is_begun(step):
+            for result in step.results:
+                (self.path.parent / result).unlink(missing_ok=True)
         before = self.entries.get(step.name)
         goes_on = before is not None and (before.key, before.state) == (step.key, "begun")
         self.entries[step.name] = before if goes_on and before else Entry(step.key, "begun")

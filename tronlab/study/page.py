@@ -15,7 +15,11 @@ def report_steps(study: Study) -> list[Step]:
     """Write the report of what the steps before it made; it says what is not there."""
     step = Step(
         "report of the study",
-        key_of(code=[*REPORT_CODE, "study/page.py", "study/scenery.py"], quick=study.quick),
+        key_of(
+            code=[*REPORT_CODE, "study/page.py", "study/scenery.py"],
+            title=study.config.title,
+            quick=study.quick,
+        ),
         cost=_COST_S,
         run=partial(_write_report, study=study),
         results=(PAGE,),

@@ -282,10 +282,9 @@ def score_datasets(desk: Desk, cores: Sequence[str], folders: Sequence[Path]) ->
     from tronlab.score.rescoring.workers import ProcessExecutor
     from tronlab.score.results import INFO, MATCHES, PARTIAL_SCORES, SCORES, SUMMARY
 
-    if not desk.is_begun:  # scores of cores that the study does not have any more
-        for folder in folders:
-            for name in (SCORES, MATCHES, SUMMARY, INFO, PARTIAL_SCORES):
-                (folder / name).unlink(missing_ok=True)
+    for folder in folders:  # cores may be gone from the study; answers are kept elsewhere
+        for name in (SCORES, MATCHES, SUMMARY, INFO, PARTIAL_SCORES):
+            (folder / name).unlink(missing_ok=True)
     specs, cache = parse_cores(cores), usual_cache_folder()
     score_jobs(
         [ScoreJob(each / DATASET_NAME, specs, each, cache_dir=cache) for each in folders],

@@ -14,6 +14,7 @@ from tronlab.study.keys import SCORING_CODE, key_of
 from tronlab.study.recording import SCORES_NAME, dataset_steps
 from tronlab.study.steps import Desk, Step
 from tronlab.study.study import Study
+from tronlab.study.writing import replace_text
 
 if TYPE_CHECKING:
     from tronlab.study.pruned import PrunedDatabase
@@ -65,30 +66,36 @@ def folder_of(dataset: DatasetName) -> Path:
     return FOLDER / dataset
 
 
-def specs_of(variants: Mapping[str, SelectionVariant]) -> tuple[CoreSpec, ...]:
-    """Give the cores that need no database of their own: the bases, then variants of them."""
+def bases_of(variants: Mapping[str, SelectionVariant]) -> tuple[CoreSpec, ...]:
+    """Give the cores that variants are held against."""
     bases = dict.fromkeys(variant.base for variant in variants.values())
-    return (
-        *(CoreSpec(base, "installed", base) for base in bases),
-        *(
-            CoreSpec(name, "installed", variant.base, variant.settings)
-            for name, variant in variants.items()
-            if variant.prune_to is None
-        ),
+    return tuple(CoreSpec(base, "installed", base) for base in bases)
+
+
+def specs_of(variants: Mapping[str, SelectionVariant]) -> tuple[CoreSpec, ...]:
+    """Give the variants that need no database of their own."""
+    return tuple(
+        CoreSpec(name, "installed", variant.base, variant.settings)
+        for name, variant in variants.items()
+        if variant.prune_to is None
     )
 
 
 def _score(desk: Desk, *, study: Study, dataset: DatasetName) -> None:
-    """Score one dataset: first with all of its landmarks, then with those that were kept."""
+    """Score one dataset: first the bases, whose answers choose landmarks, then all else at once.
+
+    Answers of the bases are mostly known from the dataset's own scores; so features of an image are
+    found once for all variants, those with a part of the landmarks too.
+    """
     from tronlab.study.pruned import pruned_databases
 
     recording = desk.out / study.dataset_folder(Path(), dataset) / DATASET_NAME
     folder = desk.out / folder_of(dataset)
     shutil.rmtree(folder, ignore_errors=True)  # answers are kept elsewhere
-    _score_cores(desk, recording, specs_of(study.selection), folder)
+    _score_cores(desk, recording, bases_of(study.selection), folder)
     pruned = pruned_databases(study.selection, recording, folder, live=desk.live)
-    if pruned:
-        _score_cores(desk, recording, [_spec_of(one, study.selection) for one in pruned], folder)
+    specs = [*specs_of(study.selection), *(_spec_of(one, study.selection) for one in pruned)]
+    _score_cores(desk, recording, specs, folder)
 
 
 def _spec_of(pruned: "PrunedDatabase", variants: Mapping[str, SelectionVariant]) -> CoreSpec:
@@ -119,9 +126,7 @@ def _write_table(desk: Desk, *, study: Study) -> None:
         for dataset in study.selection_datasets
     }
     table = selection_table(study.selection, scores)
-    part = desk.out / TABLE.with_suffix(".part")
-    table.to_csv(part, index=False)
-    part.replace(desk.out / TABLE)
+    replace_text(desk.out / TABLE, table.to_csv(index=False))
 
 
 def _cost(n_variants: int, *, score_s: float) -> float:

@@ -69,7 +69,12 @@ def _load_heights(
 def _origin(config: MadeTerrain, base_dir: Path) -> dict[str, object]:
     """Give what the heights depend on beyond the settings."""
     if isinstance(config, DemTerrain):
-        return {"dem": describe_dem(_existing_file(config.path, base_dir)).fingerprint}
+        dem = describe_dem(_existing_file(config.path, base_dir))
+        return {
+            "dem": dem.fingerprint,
+            "spacing_m": dem.spacing_m,
+            "origin_trs_m": dem.origin_trs_m,
+        }
     if isinstance(config, FileTerrain):
         from tronlab.terrain.file import READER_VERSION
         from tronlab.terrain.raster import files_of_raster

@@ -62,7 +62,7 @@ class Descent:
 
     @property
     def relaxation_gap(self) -> float:
-        """Get by how much of itself the thrust is below its bound, where it is most."""
+        """Get by how much of itself the thrust is below its bound, at the time it is most."""
         magnitude = np.linalg.norm(self.flight.acceleration_m_per_s2, axis=1)
         return float(np.max(1.0 - magnitude / self.flight.slack_m_per_s2))
 

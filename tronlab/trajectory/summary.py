@@ -22,18 +22,14 @@ _HEADINGS = (
 def describe_descents(descents: DescentSet) -> str:
     """Give a table of the trajectories, a line on each start drawn anew, and any doubt."""
     redrawn = Counter(start.number for start in descents.rejected)
-    is_perturbed = descents.trajectories != (descents.nominal,)
+    is_perturbed = all(descent.number != NOMINAL for descent in descents.trajectories)
     rows = [_row(descents.nominal, 0)] if is_perturbed else []
     rows += [_row(descent, redrawn[descent.number]) for descent in descents.trajectories]
     n_points = sum(len(descent.trs_from_cam) for descent in descents.trajectories)
     lines = [*_table(rows), f"{n_points} points of {_n_trajectories(descents)}"]
     if is_perturbed:
         lines[-1] += "; the nominal one is not flown"
-    lines += [
-        f"trajectory {start.number}: drawn anew, no descent from {_vector(start.start.position_m)}"
-        f" m with {_vector(start.start.velocity_m_per_s)} m/s: {start.reason}"
-        for start in descents.rejected
-    ]
+    lines += describe_rejected(descents)
     everyone = {descent.number: descent for descent in (descents.nominal, *descents.trajectories)}
     lines += [
         f"warning: {_name(descent)}: the relaxation is not tight, thrust is"
@@ -43,6 +39,15 @@ def describe_descents(descents: DescentSet) -> str:
         if not descent.is_tight
     ]
     return "\n".join(lines)
+
+
+def describe_rejected(descents: DescentSet) -> list[str]:
+    """Give a line on each start that was drawn anew, since nobody could land from there."""
+    return [
+        f"trajectory {start.number}: drawn anew, no descent from {_vector(start.start.position_m)}"
+        f" m with {_vector(start.start.velocity_m_per_s)} m/s: {start.reason}"
+        for start in descents.rejected
+    ]
 
 
 def describe_poses(poses: Sequence[RigidTransform]) -> str:

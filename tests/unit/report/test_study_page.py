@@ -95,6 +95,8 @@ def test_page_has_every_figure_answer_and_link(out, quickly_saved):
     assert "http" not in page
     assert all(alt for alt in re.findall(r'<img [^>]*alt="([^"]*)"', page))
     assert "from &lt;somewhere&gt;" in page
+    figure_19 = re.search(r"Figure 19: norm[^<]*once range and usable fraction are held", page)
+    assert figure_19
     assert not (out / "figures" / "fig_99.png").exists()
     assert (out / "tables" / "table_1.tex").is_file()
     assert (out / "tables" / "requirements.csv").is_file()

@@ -24,6 +24,7 @@ from tronlab.report.study.answers import (
 from tronlab.report.study.comparisons import compare_terrains
 from tronlab.report.study.requirements import requirements, verdict_sentence
 from tronlab.report.study.results import StudyResults, read_study
+from tronlab.report.study.shortfalls import bound_shortfalls
 from tronlab.report.study.tables import (
     bound_table,
     counts_table,
@@ -130,6 +131,54 @@ def test_bound_table_is_of_error_over_bound(results):
     assert row[3] == pytest.approx(np.median(own["position_error_m"] / own["bound_m"]))
     assert row[4] < row[3] < row[5]
     assert not any(core == "akaze" for _, core in rows)
+
+
+def test_error_over_the_stated_sigma_stands_beside_that_over_the_bound(results):
+    stated = changed(results, "dataset_0", "akaze-refined", sigma_core_m=lambda v: 1e-3)
+    row = {row[:2]: row for row in bound_table(stated.datasets).rows}[
+        "dataset 0, straight line", "akaze-refined"
+    ]
+    scores = stated.datasets["dataset_0"]
+    error_m = scores.loc[scores["core"] == "akaze-refined", "position_error_m"]
+    assert row[6] == pytest.approx(1e3 * error_m.median())
+
+
+def test_every_miss_of_the_bound_is_said_with_the_dearest_source(results):
+    missed = changed(results, "dataset_0", "akaze-refined", bound_m=lambda v: v / 3)
+    missed = changed(missed, "dataset_1_nominal", "akaze-refined", bound_m=lambda v: v / 4)
+    (found,) = (r for r in requirements(missed) if "error over bound" in r.subject)
+    assert len(found.others) == 1
+    assert "dataset 0" in found.case + found.others[0]
+    assert "dataset 1" in found.case + found.others[0]
+    (sentence,) = bound_shortfalls(missed)
+    assert sentence.startswith("akaze-refined misses")
+    assert "no sources of error were switched off" in sentence
+    ablation = pd.DataFrame(
+        [
+            ("all", "", 0.09, 0.0, np.nan, np.nan),
+            ("without_photometry", "photometric function", 0.03, 0.06, 0.04, 0.08),
+            ("without_psf", "point spread function", 0.02, 0.07, -0.01, 0.15),
+        ],
+        columns=["variant", "title", "mean_pct_los", "cost_pct_los", "cost_low", "cost_high"],
+    ).assign(core="akaze-refined", dataset="together")
+    limits = pd.DataFrame(
+        [("dataset_0", "akaze-refined", np.nan), ("dataset_1_nominal", "akaze-refined", 0.9)],
+        columns=["dataset", "core", "none_over_bound"],
+    )
+    tables = {"ablation": ablation, "limits": limits}
+    told = StudyResults(missed.folder, {}, missed.datasets, {}, tables)
+    (sentence,) = bound_shortfalls(told)
+    assert sentence.count("0.9 without any source of error") == 1
+    assert "photometric function +0.06 [+0.04, +0.08] %" in sentence
+    assert "point spread" not in sentence
+    assert bound_shortfalls(results) == ()
+
+
+def test_refined_means_are_held_against_twenty_times_below_the_papers(results):
+    worse = changed(results, "dataset_2_nominal", "akaze-refined", **{PCT: lambda v: 2.4 / 19})
+    (found,) = (r for r in requirements(worse) if "below that of the paper" in r.subject)
+    assert (found.verdict, found.reached) == ("not met", "19 times")
+    assert found.case == "dataset 2, nominal, akaze-refined"
 
 
 def test_refined_cores_are_told_from_the_papers():

@@ -65,6 +65,12 @@ def test_names_must_be_in_the_file(tmp_path: Path, old: str, new: str, where: st
             "selection.variants.ratio.base",
             "no core 'brisque' .*there are: akaze",
         ),
+        (
+            "settings: {matching: {max_ratio: 0.5}}",
+            "settings: {detector: {n_max: 9}}\n      prune_to: 0.5\n      prune_by: scores",
+            "selection.variants.ratio.settings.detector",
+            "scores of brisk choose among the landmarks of its own detector",
+        ),
         ("cores: [brisk]\n", "cores: [bris]\n", r"cores\[0\]", "no navigation core 'bris'"),
     ],
 )

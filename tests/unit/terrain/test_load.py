@@ -217,6 +217,15 @@ def test_a_perfect_scan_of_a_file_is_the_file_and_follows_its_contents(tmp_path)
     assert not np.array_equal(load_again(config, base_dir=tmp_path).height_m, first.height_m)
 
 
+def test_a_scan_of_a_file_follows_where_its_description_puts_it(tmp_path):
+    config = ScannedTerrain(of=DemTerrain(path=Path("model.npy")))
+    for origin_trs_m in ((0.0, 0.0, 0.0), (1.0, 2.0, 3.0)):
+        moved = CONFIG.model_copy(update={"origin_trs_m": origin_trs_m})
+        make_dem(moved, tmp_path / "model.npy")
+        scanned = load_again(config, base_dir=tmp_path)
+        np.testing.assert_array_equal(scanned.origin_trs_m, origin_trs_m)
+
+
 def test_a_scan_stands_where_the_scanned_terrain_stands():
     config = ScannedTerrain(of=CONFIG.model_copy(update={"origin_trs_m": (1.0, 2.0, 3.0)}))
     load_again(ScannedTerrain(of=CONFIG))

@@ -94,7 +94,7 @@ def perturbation_answer(rank: pd.DataFrame) -> Sentences:
         f" {correlation_text(largest)}, of"
         f" {str(largest['measure']).replace('_', ' ')}, {_title(largest['dataset'])},"
         f" {largest['core']}.",
-        view_sentence(known),
+        *([view_sentence(known)] if known["partial_p"].notna().any() else []),
     )
 
 

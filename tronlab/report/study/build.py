@@ -24,6 +24,7 @@ from tronlab.report.study.sections import (
     published_section,
     question_sections,
 )
+from tronlab.report.study.shortfalls import bound_shortfalls
 from tronlab.score.evaluation.export import TableFormat, write_tables
 
 PAGE_NAME = "report.html"
@@ -69,6 +70,7 @@ def _make_page(results: StudyResults, scenery: Scenery, folder: Path) -> StudyPa
         verdict=verdict_sentence(found, n_datasets=len(results.datasets)),
         missing=results.missing,
         requirements=requirements_table(found),
+        shortfalls=bound_shortfalls(results),
         questions=question_sections(studio),
         worst=list(_worst_shots(results)),
         published=published_section(results, scenery),

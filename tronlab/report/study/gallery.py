@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -38,6 +39,7 @@ from tronlab.report.trajectory_scene import (
     PointsPanel,
     trajectory_figure,
 )
+from tronlab.score.perturbation import view_sentence
 
 _DECIMALS = 6
 """Of metres, by which points are told apart."""
@@ -166,12 +168,13 @@ def _trajectory_plates(scenery: Scenery, folder: Path) -> Iterator[Plate]:
             " magenta, cyan for X, Y, Z; grey: outline of the model.",
         )
     if scenery.first_view is not None:
-        path = save_picture(mask_figure(scenery.first_view), folder, "fig_06")
+        view = scenery.first_view
+        path = save_picture(mask_figure(view), folder, "fig_06")
         caption = (
-            f"Figure 6: mask of the model (left) and laid over the image (right), {{}}. Of this"
-            f" image {100 * scenery.first_view.mask.mean():.1f} % is usable, the paper has about"
-            " 5 %: too little to be taken, for at least 20 % is asked."
-        ).format(scenery.first_view.told)
+            "Figure 6: mask of the model (left) and laid over the image (right),"
+            f" {view.told}. Of this image {100 * view.mask.mean():.1f} % is usable, in the paper"
+            " about 5 %; only images above 20 % are used."
+        )
         yield Plate([Captioned(PageFigure(path, alt=caption), caption)])
     taken = [panel for panel in _taken_panels(scenery) if panel.points]
     if taken:
@@ -290,8 +293,20 @@ def _perturbation_figures(
                 f"{kind.stem}{end}",
                 f"Figure 19{end}: norm of the position error against {kind.what} to the nominal"
                 " pose paired by Z of trs; below: Spearman's rank correlation with its 95 %"
-                f" interval and p, {_listed(of_set)}.",
+                f" interval and p, {_listed(of_set)}.{_of_view(rank, of_set, kind.measures)}",
             )
+
+
+def _of_view(
+    rank: pd.DataFrame, cores: Mapping[str, CoreStyle], measures: Sequence[Measure]
+) -> str:
+    """Say what is left of the correlations of a figure at the same range and usable fraction."""
+    drawn = rank[
+        rank["core"].isin(list(cores)) & rank["measure"].isin([m.column for m in measures])
+    ]
+    if drawn.empty or drawn["partial_p"].isna().all():
+        return ""
+    return f" {view_sentence(drawn)}"
 
 
 def _plate(figure: Figure, folder: Path, stem: str, caption: str) -> Plate:

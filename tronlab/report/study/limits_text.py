@@ -73,17 +73,18 @@ def _cost_sentence(core: str, rows: pd.DataFrame) -> str:
     dear, cheap = certain[certain["cost_low"] > 0.0], certain[certain["cost_high"] < 0.0]
     parts = [f"{head}."]
     if len(dear):
-        named = "; ".join(map(_cost, dear.head(_MOST_NAMED).to_dict("records")))
+        named = "; ".join(map(cost_text, dear.head(_MOST_NAMED).to_dict("records")))
         parts.append(f"The dearest: {named}.")
     if len(cheap):
-        named = "; ".join(map(_cost, cheap.iloc[::-1].to_dict("records")))
+        named = "; ".join(map(cost_text, cheap.iloc[::-1].to_dict("records")))
         parts.append(f"Without it the error is larger: {named}.")
     if n_uncertain:
         parts.append(f"{n_uncertain} of {len(costs)} sources cannot be told from zero.")
     return " ".join(parts)
 
 
-def _cost(row: Row) -> str:
+def cost_text(row: Row) -> str:
+    """Name a source of an ablation and its cost with its interval."""
     value, low, high = (float(row[c]) for c in ("cost_pct_los", "cost_low", "cost_high"))
     return f"{row['title']} {_signed(value)} [{_signed(low)}, {_signed(high)}] %"
 

@@ -51,6 +51,8 @@ class StudyPage:
     missing: Sequence[str]
     """What the study left out."""
     requirements: Table
+    shortfalls: Sequence[str]
+    """Why some of them are not met."""
     questions: Sequence[Section]
     """The paper's open questions."""
     worst: Sequence[WorstShot]
