@@ -114,9 +114,8 @@ def _verdict(core: str, shares: pd.DataFrame) -> str:
             f"{core}: the {PART_TITLES[part]} limits its typical error, with 95 % confidence as the"
             f" largest part ({named} of its square; {n} shots)."
         )
-    return (
-        f"{core}: not conclusive: which part is the largest cannot be said with {n} shots"
-        f" ({named} of the square of its typical error)."
+    return f"{core}: not conclusive: which part is the largest cannot be said with {n} shots" + (
+        f" ({named} of the square of its typical error)." if named else "."
     )
 
 
