@@ -2,11 +2,11 @@
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 from perfect_record import save_perfect_record
 from ruamel.yaml import YAML
+from small_study import write_small_rig
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 
@@ -37,24 +37,7 @@ def edit_yaml() -> Callable[..., None]:
 @pytest.fixture
 def rig_path(tmp_path: Path) -> Path:
     """The repository's twin, smaller."""
-    yaml = YAML()
-    rig: dict[str, Any] = yaml.load((REPOSITORY / "campaigns/rigs/twin.yaml").read_text())
-    rig["laboratory"]["camera"].update(
-        sensor_width_px=96,
-        sensor_height_px=64,
-        left_px=16,
-        top_px=0,
-        width_px=64,
-        height_px=64,
-        pixel_pitch_m=1e-4,
-    )
-    rig["terrain"].update(spacing_m=0.01)
-    rig["world"]["surface"]["rays_per_pixel"] = 1
-    rig["world"]["lens"]["principal_point_sigma_px"] = 1.0
-    path = tmp_path / "rig.yaml"
-    with path.open("w") as file:
-        yaml.dump(rig, file)
-    return path
+    return write_small_rig(tmp_path)
 
 
 @pytest.fixture

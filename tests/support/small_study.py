@@ -61,8 +61,8 @@ quick:
 """
 
 
-def write_small_study(folder: Path, *, with_record: bool = True) -> Path:
-    """Write study, campaign, rig and, unless nobody reads it, a record; give the study's path."""
+def write_small_rig(folder: Path) -> Path:
+    """Write the repository's twin, smaller, as rig.yaml; give its path."""
     yaml = YAML()
     rig: dict[str, Any] = yaml.load((REPOSITORY / "campaigns/rigs/twin.yaml").read_text())
     rig["laboratory"]["camera"].update(
@@ -77,8 +77,15 @@ def write_small_study(folder: Path, *, with_record: bool = True) -> Path:
     rig["terrain"].update(spacing_m=0.01)
     rig["world"]["surface"]["rays_per_pixel"] = 1
     rig["world"]["lens"]["principal_point_sigma_px"] = 1.0
-    with (folder / "rig.yaml").open("w") as file:
+    path = folder / "rig.yaml"
+    with path.open("w") as file:
         yaml.dump(rig, file)
+    return path
+
+
+def write_small_study(folder: Path, *, with_record: bool = True) -> Path:
+    """Write study, campaign, rig and, unless nobody reads it, a record; give the study's path."""
+    write_small_rig(folder)
     if with_record:
         save_perfect_record(folder / "record.json", rig_path=folder / "rig.yaml")
     else:
