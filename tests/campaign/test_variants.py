@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from recorder import Recorder
 
+from tronlab.calib.record import CalibrationRecord
 from tronlab.campaign.acceptance import Acceptance
 from tronlab.campaign.job import Files, Job, read_job
 from tronlab.campaign.recorded import recorded_database, recorded_terrain
@@ -100,5 +101,6 @@ def test_a_run_of_variants_goes_on_and_sees_changes_in_every_file(
     assert [view.mask.any() for view in views] == [True, False, False]
     assert np.isnan(views[2].depth_m).all()
     assert campaign_cores(provenance.campaign_yaml) == ("akaze",)
-    assert recorded_database(provenance).rays_per_pixel == 1
+    record = CalibrationRecord.from_json(provenance.calibration_json)
+    assert recorded_database(provenance, record).rays_per_pixel == 1
     assert recorded_terrain(provenance.rig_yaml).spacing_m == 0.01

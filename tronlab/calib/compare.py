@@ -14,6 +14,7 @@ from tronlab.calib.differences import (
     frame_difference,
     hand_eye_difference,
     lamp_difference,
+    photometry_difference,
     robot_difference,
 )
 from tronlab.calib.inputs import Inputs, StationsInput
@@ -34,6 +35,7 @@ _WHAT_CHANGED: Mapping[str, str] = MappingProxyType(
         "hand-eye": "camera or T-MAC moved on their plate",
         "lamp": "the lamp moved",
         "robot": "rail, robot or T-MAC moved",
+        "photometry": "the paint reflects differently",
     }
 )
 
@@ -224,6 +226,7 @@ _PARTS: Mapping[str, _Part] = MappingProxyType(
         "hand-eye": _Part("hand_eye", ("intrinsics", "hand_eye"), hand_eye_difference),
         "lamp": _Part("lamp", ("lamp",), lamp_difference),
         "robot": _Part("robot", ("robot",), robot_difference),
+        "photometry": _Part("photometry", ("photometry",), photometry_difference),
     }
 )
 

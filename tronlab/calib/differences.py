@@ -10,6 +10,7 @@ from tronlab.calib.results import (
     FrameResult,
     HandEyeResult,
     LampResult,
+    PhotometryResult,
     RobotResult,
 )
 from tronlab.geometry.camera import CameraModel
@@ -125,6 +126,14 @@ def robot_difference(first: RobotResult, second: RobotResult) -> Difference:
     )
     values = np.concatenate([rail, along, tool])
     return Difference(axes, values, first.covariance + second.covariance, size)
+
+
+def photometry_difference(first: PhotometryResult, second: PhotometryResult) -> Difference:
+    """Give how the shares of Lommel-Seeliger differ."""
+    share = second.weight - first.weight
+    variance = first.weight_sigma**2 + second.weight_sigma**2
+    axes = (("share of Lommel-Seeliger", "1", 1.0),)
+    return Difference(axes, np.array([share]), np.array([[variance]]), f"its share {share:+.3f}")
 
 
 def _of_pose(values: FloatArray, covariance: FloatArray) -> Difference:

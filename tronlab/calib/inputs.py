@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
-from pydantic import Field
+from pydantic import Field, model_validator
 from scipy.spatial.transform import RigidTransform
 
 from tronlab.calib.camera.board import BoardView
@@ -29,7 +29,7 @@ Pixel: TypeAlias = tuple[float, float]
 Setup: TypeAlias = Literal["eye_in_hand", "eye_to_hand"]
 """``eye_to_hand``: the board is on the hand; then what is called T-MAC is the robot's base seen
 from its hand, and the result is base_from_cam."""
-PartName: TypeAlias = Literal["frame", "intrinsics", "hand_eye", "lamp", "robot"]
+PartName: TypeAlias = Literal["frame", "intrinsics", "hand_eye", "lamp", "robot", "photometry"]
 
 
 class PointInput(Model):
@@ -271,6 +271,47 @@ class LampInput(Model):
     point: PointInput
 
 
+class PatchesInput(Model):
+    """Mean grey of patches of one image, and what renderings of the same view have there.
+
+    Each column has one value a patch.
+    """
+
+    shot_id: int
+    exposure_s: float
+    gain_db: float
+    grey: tuple[float, ...]
+    """Part of full scale."""
+    cos_axis: tuple[float, ...]
+    """Cosine of the angle between the ray and the optical axis."""
+    lambert: tuple[float, ...]
+    """Radiance of a white Lambert surface, from a lamp of intensity 1."""
+    lommel_seeliger: tuple[float, ...]
+    """Likewise."""
+    phase_deg: tuple[float, ...]
+    """Phase angle in the middle of the patch."""
+
+    @model_validator(mode="after")
+    def _columns_are_equally_long(self) -> "PatchesInput":
+        columns = self.grey, self.cos_axis, self.lambert, self.lommel_seeliger, self.phase_deg
+        if len({len(column) for column in columns}) > 1:
+            raise ValueError(f"shot {self.shot_id}: its columns have different lengths")
+        return self
+
+
+class PhotometryInput(Model):
+    """Recorded images of the model against renderings of it, from poses that are known."""
+
+    measured_utc: str
+    """When the images were recorded."""
+    dataset_name: str
+    dataset_uuid: str
+    """Of the dataset the images are from; empty if it has none."""
+    patch_px: int
+    """Side of a patch."""
+    images: tuple[PatchesInput, ...]
+
+
 HandEyeInput: TypeAlias = Annotated[StationsInput | PosePairsInput, Field(discriminator="kind")]
 
 
@@ -282,6 +323,7 @@ class Inputs(Model):
     hand_eye: HandEyeInput | None = None
     lamp: LampInput | None = None
     robot: RobotInput | None = None
+    photometry: PhotometryInput | None = None
 
     def with_parts(self, **parts: Any) -> "Inputs":
         """Give the inputs with some parts measured anew."""
@@ -292,6 +334,11 @@ class Inputs(Model):
         """Get when each part was measured, by name."""
         parts = {name: getattr(self, name) for name in Inputs.model_fields}
         return {name: part.measured_utc for name, part in parts.items() if part is not None}
+
+    @property
+    def measured_at_rig_utc(self) -> dict[str, str]:
+        """Get the same of the parts that can move; paint stays as it is."""
+        return {name: utc for name, utc in self.measured_utc.items() if name != "photometry"}
 
 
 def numbers_of(pose: RigidTransform) -> list[float]:

@@ -27,6 +27,7 @@ from tronlab.errors import CalibrationError, ConfigError
 from tronlab.geometry.camera import CameraModel
 from tronlab.geometry.poses import FloatArray
 from tronlab.geometry.uncertainty import compose_covariance
+from tronlab.render.photometry import Photometry
 from tronlab.yaml_models import parse_mapping
 
 SCHEMA = "tronlab-calibration"
@@ -153,8 +154,15 @@ class CalibrationRecord:
         """Get the centre of the light, shape (3,)."""
         return self._part(self.results.lamp, "lamp").p_trs_m
 
+    @property
+    def photometry(self) -> Photometry:
+        """Get how the paint of the model reflects light."""
+        return self._part(self.results.photometry, "photometry").photometry
+
     def check_complete(self) -> None:
-        """Refuse to serve a campaign without all it needs; a campaign can do without ``robot``.
+        """Refuse to serve a campaign without all it needs.
+
+        Robot and photometry are not among that, unless the campaign asks for them.
 
         Raises:
             CalibrationError: A part is missing.
@@ -196,7 +204,7 @@ class CalibrationRecord:
         """Get until when the record serves; None: without end."""
         if self.valid_days is None:
             return None
-        dates = [*self.inputs.measured_utc.values()] or [self.created_utc]
+        dates = [*self.inputs.measured_at_rig_utc.values()] or [self.created_utc]
         return min(map(datetime.fromisoformat, dates)) + timedelta(days=self.valid_days)
 
     def check_validity(self, now: datetime | None = None) -> None:
@@ -211,13 +219,13 @@ class CalibrationRecord:
         expires = self.expires_utc
         if expires is None or (now or datetime.now(UTC)) <= expires:
             return
-        dates = self.inputs.measured_utc
+        dates = self.inputs.measured_at_rig_utc
         oldest = min(dates, key=lambda name: dates[name]) if dates else "all"
         part, measured_utc = oldest.replace("_", "-"), dates.get(oldest, self.created_utc)
         raise CalibrationError(
             f"calibration record {self.source}: expired at {expires:%Y-%m-%d %H:%M} UTC: {part} was"
             f" measured at {measured_utc}, and the record is valid for {self.valid_days:g} days;"
-            f"\nmeasure it anew: tronlab calibrate {part} --rig RIG.yaml --record {self.source}"
+            f"\nmeasure it anew: {measuring_command(part, self.source)}"
         )
 
     def check_rig(self, rig_name: str) -> None:
@@ -258,9 +266,15 @@ class CalibrationRecord:
         if part is None:
             raise CalibrationError(
                 f"calibration record {self.source}: has no {name};"
-                f"\nmeasure it: tronlab calibrate {name} --rig RIG.yaml --record {self.source}"
+                f"\nmeasure it: {measuring_command(name, self.source)}"
             )
         return part
+
+
+def measuring_command(part: str, record: str) -> str:
+    """Give the command that measures a part of the record in that file."""
+    source = "--from DATASET" if part == "photometry" else "--rig RIG.yaml"
+    return f"tronlab calibrate {part} {source} --record {record}"
 
 
 def signature_of(values: Mapping[str, Any]) -> str:

@@ -9,9 +9,11 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from tronlab.devices.readings import DeviceIdentity
-from tronlab.errors import CalibrationError, FrameError
+from tronlab.errors import CalibrationError, ConfigError, FrameError
 from tronlab.geometry.camera import N_DISTORTION, CameraModel
 from tronlab.geometry.poses import FloatArray, pose_from_xyz_quat
+from tronlab.render.photometry import Photometry
+from tronlab.yaml_models import Model, parse_mapping
 
 _SYMMETRY_TOLERANCE = 1e-9
 
@@ -47,6 +49,10 @@ def parse_json(text: str, source: str) -> dict[str, Any]:
             " expected a mapping;\nmake a new record: tronlab calibrate"
         )
     return cast("dict[str, Any]", value)
+
+
+class _Surface(Model):
+    function: Photometry
 
 
 class Fields:
@@ -180,6 +186,14 @@ class Fields:
             return CameraModel.from_dict(values)
         except CalibrationError as error:
             self._fail(key, str(error))
+
+    def photometry(self, key: str) -> Photometry:
+        """Give the photometric function in a part of that name."""
+        values = {"function": self.mapping(f"{key}.function")}
+        try:
+            return parse_mapping(values, _Surface, key=key).function
+        except ConfigError as error:
+            raise CalibrationError(f"calibration record {self._source}: {error}") from error
 
     def _fail(self, key: str, message: str) -> NoReturn:
         raise CalibrationError(

@@ -7,8 +7,10 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform
 
 from tronlab.calib.camera.projection import DistortionModel
+from tronlab.errors import CalibrationError
 from tronlab.geometry.camera import CameraModel
 from tronlab.geometry.poses import FloatArray
+from tronlab.render.photometry import Lambert, LommelSeeliger, LunarLambert, Photometry
 
 Statistics = dict[str, Any]
 """How well a solution fits what was measured; plain values."""
@@ -79,6 +81,34 @@ class RobotResult:
 
 
 @dataclass(frozen=True, slots=True)
+class PhotometryResult:
+    """How the paint reflects light."""
+
+    photometry: Photometry
+    """The lunar-Lambert function that fits best, or the pure function it has become."""
+    weight_sigma: float
+    """One sigma of the share of Lommel-Seeliger."""
+    statistics: Statistics = field(default_factory=dict[str, Any])
+
+    @property
+    def weight(self) -> float:
+        """Get the share of Lommel-Seeliger, L.
+
+        Raises:
+            CalibrationError: The function has none.
+        """
+        match self.photometry:
+            case Lambert():
+                return 0.0
+            case LommelSeeliger():
+                return 1.0
+            case LunarLambert(weight=float(weight)):
+                return weight
+            case _:
+                raise CalibrationError(f"{self.photometry.kind} has no fixed weight")
+
+
+@dataclass(frozen=True, slots=True)
 class Results:
     """The parts that were found; a part not measured is None."""
 
@@ -87,3 +117,4 @@ class Results:
     hand_eye: HandEyeResult | None = None
     lamp: LampResult | None = None
     robot: RobotResult | None = None
+    photometry: PhotometryResult | None = None

@@ -17,6 +17,7 @@ from tronlab.calib.results import (
     FrameResult,
     HandEyeResult,
     LampResult,
+    PhotometryResult,
     Results,
     RobotResult,
 )
@@ -35,6 +36,7 @@ def results_to_json(results: Results) -> dict[str, Any]:
         "hand_eye": _present(_hand_eye_to_json, results.hand_eye),
         "lamp": _present(_lamp_to_json, results.lamp),
         "robot": _present(_robot_to_json, results.robot),
+        "photometry": _present(_photometry_to_json, results.photometry),
     }
     return {name: part for name, part in parts.items() if part is not None}
 
@@ -51,6 +53,7 @@ def results_from_json(fields: Fields) -> Results:
         hand_eye=_hand_eye(fields) if fields.has("hand_eye") else None,
         lamp=_lamp(fields) if fields.has("lamp") else None,
         robot=_robot(fields) if fields.has("robot") else None,
+        photometry=_photometry(fields) if fields.has("photometry") else None,
     )
 
 
@@ -148,6 +151,22 @@ def _robot(fields: Fields) -> RobotResult:
         flange_from_tmac=fields.pose("robot.flange_from_tmac", parent="flange", child="tmac"),
         covariance=fields.covariance("robot.covariance_rad_m", n=15),
         statistics=fields.mapping("robot.statistics"),
+    )
+
+
+def _photometry_to_json(part: PhotometryResult) -> dict[str, Any]:
+    return {
+        "function": part.photometry.model_dump(mode="json"),
+        "weight_sigma": part.weight_sigma,
+        "statistics": part.statistics,
+    }
+
+
+def _photometry(fields: Fields) -> PhotometryResult:
+    return PhotometryResult(
+        photometry=fields.photometry("photometry"),
+        weight_sigma=float(fields.array("photometry.weight_sigma", shape=())),
+        statistics=fields.mapping("photometry.statistics"),
     )
 
 

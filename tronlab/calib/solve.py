@@ -19,6 +19,7 @@ from tronlab.calib.inputs import (
     point_readings,
     views_of,
 )
+from tronlab.calib.photometry.fit import solve_photometry
 from tronlab.calib.reflectors.frame import solve_frame
 from tronlab.calib.reflectors.lamp import solve_lamp
 from tronlab.calib.results import (
@@ -46,6 +47,7 @@ def solve(inputs: Inputs) -> Results:
         hand_eye=hand_eye,
         lamp=None if inputs.lamp is None else _lamp(inputs.lamp),
         robot=None if inputs.robot is None else _robot(inputs.robot),
+        photometry=None if inputs.photometry is None else solve_photometry(inputs.photometry),
     )
 
 

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, TypeAlias
 
-from pydantic import AfterValidator, Field, ValidationInfo, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, model_validator
 
 from tronlab.errors import ConfigError
-from tronlab.render.settings import RaysPerPixel, RenderedImages
+from tronlab.render.photometry import Lambert, Photometry, PhotometryName, by_name
+from tronlab.render.settings import RaysPerPixel, RendererChoice, RenderOptions
 from tronlab.trajectory.config import TrajectoryConfig
 from tronlab.yaml_models import ExistingFile, Model, existing_file
 from tronlab.yaml_variants import Document, read_document
@@ -26,7 +27,25 @@ Fraction = Annotated[float, Field(ge=0, le=1)]
 NotifyEvent: TypeAlias = Literal["begun", "suspended", "resumed", "done", "aborted", "failed"]
 
 
-class DatabaseConfig(RenderedImages):
+class CalibratedPhotometry(Model):
+    """As ``tronlab calibrate photometry`` found it: the calibration record has the function."""
+
+    kind: Literal["calibrated"] = "calibrated"
+
+
+_DatabasePhotometry: TypeAlias = Annotated[
+    CalibratedPhotometry | Photometry, Field(discriminator="kind")
+]
+DatabasePhotometry: TypeAlias = Annotated[
+    _DatabasePhotometry,
+    BeforeValidator(
+        by_name,
+        json_schema_input_type=Literal["calibrated", PhotometryName] | _DatabasePhotometry,
+    ),
+]
+
+
+class DatabaseConfig(RendererChoice, RenderOptions):
     """The reference views that navigation cores build their database from."""
 
     trajectory: TrajectoryConfig | None = None
@@ -37,6 +56,9 @@ class DatabaseConfig(RenderedImages):
     all."""
     rays_per_pixel: RaysPerPixel = 4
     """Rays cast through a pixel: 1 is faster, 4 has smooth edges."""
+    photometry: DatabasePhotometry = Lambert()
+    """How the surface is taken to reflect light: `calibrated`, or a function by its name, or a
+    mapping with kind and parameters."""
 
 
 class CameraConfig(Model):

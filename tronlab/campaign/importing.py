@@ -35,6 +35,7 @@ from tronlab.planning.shots import database_indices, range_los_m
 from tronlab.render.heightfield import HeightfieldRenderer
 from tronlab.render.mask import model_mask
 from tronlab.render.renderer import lamp_as_designed
+from tronlab.render.settings import RenderedImages
 from tronlab.terrain.heightmap import HeightMap
 
 _UNKNOWN_RIG = "unknown"
@@ -249,7 +250,7 @@ def _views(
         lamp=lamp_as_designed(
             model.rig.config.laboratory.lamp, _p_lamp_trs_m(camera, model.rig, live)
         ),
-        config=DatabaseConfig(),
+        config=RenderedImages(rays_per_pixel=4),
         on_view=lambda n_done, n_all: live.advance("reference views", n_done=n_done, n_all=n_all),
     )
 

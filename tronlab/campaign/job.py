@@ -10,6 +10,7 @@ from scipy.spatial.transform import RigidTransform
 from tronlab.calib.record import CalibrationRecord
 from tronlab.campaign.acceptance import Acceptance
 from tronlab.campaign.config import Campaign, load_campaign
+from tronlab.campaign.reference import database_images
 from tronlab.campaign.rig import Rig, load_rig
 from tronlab.dataset.location import DATASET_NAME
 from tronlab.dataset.places import images_folder, journal_path, lock_path, part_of
@@ -19,6 +20,7 @@ from tronlab.nav.specs import parse_core
 from tronlab.planning.shots import Plan, database_indices, make_plan
 from tronlab.render.registry import check_renderer
 from tronlab.render.renderer import Lamp, RenderError, lamp_as_designed
+from tronlab.render.settings import RenderedImages
 from tronlab.trajectory.config import TrajectoryConfig
 from tronlab.trajectory.poses import camera_poses
 from tronlab.yaml_models import read_text
@@ -48,6 +50,8 @@ class Job:
     """All shots, in the order of the trajectory."""
     reference_poses: tuple[RigidTransform, ...]
     """``trs_from_cam`` of the reference views."""
+    database_images: RenderedImages
+    """How these are rendered."""
     seed: int
 
     @property
@@ -93,6 +97,7 @@ def read_job(files: Files, *, seed: int | None, acceptance: Acceptance) -> Job:
         calibration_text=calibration_text,
         plan=plan.every(campaign.config.plan.every_n),
         reference_poses=_reference_poses(campaign, poses),
+        database_images=_database_images(campaign, calibration),
         seed=campaign.config.seed if seed is None else seed,
     )
 
@@ -190,6 +195,13 @@ def _reference_poses(
     except PlanError as error:
         raise campaign.error(str(error), "database", "n_views") from None
     return tuple(poses[i] for i in chosen)
+
+
+def _database_images(campaign: Campaign, calibration: CalibrationRecord) -> RenderedImages:
+    try:
+        return database_images(campaign.config.database, calibration)
+    except CalibrationError as error:
+        raise campaign.error(str(error), "database", "photometry") from None
 
 
 def _check_image_size(calibration: CalibrationRecord, rig: Rig) -> None:

@@ -15,7 +15,12 @@ from tronlab.campaign.acceptance import Acceptance
 from tronlab.campaign.accuracy import sigmas_of
 from tronlab.campaign.drift import judge
 from tronlab.campaign.live import Live, SilentLive
-from tronlab.campaign.recorded import recorded_database, recorded_heightmap, recorded_lamp
+from tronlab.campaign.recorded import (
+    recorded_database,
+    recorded_heightmap,
+    recorded_lamp,
+    recorded_terrain,
+)
 from tronlab.campaign.reference import database_renderer, render_references
 from tronlab.campaign.shot import TruthSource
 from tronlab.dataset.drift import spans
@@ -101,7 +106,8 @@ def recompute_truth(
         live.announce("renderer: preparing the terrain")
         renderer = HeightfieldRenderer(heightmap)
         with rewritten(dataset_path, out, on_stage=_stages(live)) as rewriter:
-            source = TruthSource(record, heightmap, renderer)
+            terrain = recorded_terrain(dataset.provenance.rig_yaml)
+            source = TruthSource(record, heightmap, renderer, terrain.registration)
             change = _rewrite_shots(dataset, rewriter, source, live)
             if dataset.n_references:
                 rewriter.write_references(_views(dataset, record, heightmap, renderer, live))
@@ -202,7 +208,7 @@ def _views(
     live: Live,
 ) -> tuple[ReferenceView, ...]:
     """Render the reference views as the record has camera and lamp; their poses are nominal."""
-    recorded, config = dataset.references(), recorded_database(dataset.provenance)
+    recorded, config = dataset.references(), recorded_database(dataset.provenance, record)
     live.advance("reference views", n_done=0, n_all=len(recorded))
     return render_references(
         [view.trs_from_cam for view in recorded],

@@ -7,13 +7,16 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from tronlab.calib.record import CalibrationRecord
 from tronlab.campaign.config import DatabaseConfig
+from tronlab.campaign.reference import database_images
 from tronlab.campaign.rig import load_rig
 from tronlab.dataset.records import Provenance
 from tronlab.devices.laboratory import LampSpec
 from tronlab.errors import ConfigError
 from tronlab.geometry.poses import FloatArray
 from tronlab.render.renderer import Lamp, lamp_as_designed
+from tronlab.render.settings import RenderedImages
 from tronlab.terrain.config import TerrainConfig
 from tronlab.terrain.heightmap import HeightMap
 from tronlab.yaml_models import Model, parse_mapping
@@ -28,15 +31,20 @@ class _LampSection(Model):
     lamp: LampSpec
 
 
-def recorded_database(provenance: Provenance) -> DatabaseConfig:
-    """Give how the reference views of a dataset were rendered; where from is in the dataset.
+def recorded_database(provenance: Provenance, calibration: CalibrationRecord) -> RenderedImages:
+    """Give how the reference views of a dataset are rendered; where from is in the dataset.
+
+    Args:
+        provenance: Of the dataset; its campaign says how.
+        calibration: Has the photometric function, if it shall be the calibrated one.
 
     Raises:
         ConfigError: The recorded campaign says something else than this version knows.
+        CalibrationError: The record has no photometric function.
     """
     section = _section(provenance.campaign_yaml, "database", where="the recorded campaign") or {}
     how = {key: value for key, value in section.items() if key != "trajectory"}
-    return parse_mapping(how, DatabaseConfig, key="database")
+    return database_images(parse_mapping(how, DatabaseConfig, key="database"), calibration)
 
 
 def recorded_lamp(provenance: Provenance, p_lamp_trs_m: FloatArray) -> Lamp:

@@ -211,14 +211,19 @@ def _taker(
     taker = ShotTaker(
         devices=devices,
         config=config,
-        truth_source=TruthSource(calibration, foresight.heightmap, foresight.renderer),
+        truth_source=TruthSource(
+            calibration,
+            foresight.heightmap,
+            foresight.renderer,
+            job.rig.config.terrain.registration,
+        ),
         drift_watch=vigil and vigil.watch,
         light=LightModel(
             renderer=foresight.renderer,
             heightmap=foresight.heightmap,
             camera=calibration.camera,
             lamp=job.lamp,
-            photometry=config.database.photometry,
+            photometry=job.database_images.photometry,
         ),
         warn=warn,
         session=assignment.number,
@@ -276,7 +281,7 @@ def provenance_of(assignment: Assignment, session: Session) -> Provenance:
 
 def _references(assignment: Assignment, live: Live) -> tuple[ReferenceView, ...]:
     job, foresight = assignment.job, assignment.foresight
-    config = job.campaign.config.database
+    config = job.database_images
     live.announce("renderer: getting ready; its first use after an installation compiles")
     live.advance("reference views", n_done=0, n_all=len(job.reference_poses))
     return render_references(

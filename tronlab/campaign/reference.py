@@ -11,19 +11,33 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from tronlab.campaign.config import DatabaseConfig
+from tronlab.calib.record import CalibrationRecord
+from tronlab.campaign.config import CalibratedPhotometry, DatabaseConfig
 from tronlab.dataset.records import ReferenceView
 from tronlab.errors import PlanError
 from tronlab.geometry.camera import CameraModel
 from tronlab.render.mask import model_mask
 from tronlab.render.registry import open_renderer
 from tronlab.render.renderer import Lamp, Renderer, Rendering
-from tronlab.render.settings import DEFAULT_RENDERER
+from tronlab.render.settings import DEFAULT_RENDERER, RenderedImages
 from tronlab.terrain.heightmap import HeightMap
 
 BRIGHT_PERCENTILE = 99.0
 BRIGHT_GREY = 220.0
 """The brightest per cent of the lit terrain is brighter than this, and may saturate."""
+
+
+def database_images(config: DatabaseConfig, calibration: CalibrationRecord) -> RenderedImages:
+    """Say how reference views are rendered: with the photometric function that was calibrated, too.
+
+    Raises:
+        CalibrationError: It shall be the calibrated one, and the record has none.
+    """
+    function = config.photometry
+    if isinstance(function, CalibratedPhotometry):
+        function = calibration.photometry
+    others = config.model_dump(include=set(RenderedImages.model_fields) - {"photometry"})
+    return RenderedImages(photometry=function, **others)
 
 
 def render_references(
@@ -33,7 +47,7 @@ def render_references(
     renderer: Renderer,
     camera: CameraModel,
     lamp: Lamp,
-    config: DatabaseConfig,
+    config: RenderedImages,
     on_view: Callable[[int, int], None] | None = None,
 ) -> tuple[ReferenceView, ...]:
     """Render the terrain at poses ``trs_from_cam``.
@@ -73,7 +87,7 @@ def render_references(
 
 
 def database_renderer(
-    config: DatabaseConfig,
+    config: RenderedImages,
     heightmap: HeightMap,
     *,
     at_hand: Renderer,

@@ -3,11 +3,13 @@
 from collections.abc import Callable, Generator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
 
 from tronlab.calib.record import CalibrationRecord
 from tronlab.campaign.brightness import LightModel
@@ -27,10 +29,13 @@ from tronlab.devices.clock import Clock
 from tronlab.devices.readings import Frame, PoseReading, RobotReading, RoomReading
 from tronlab.devices.registry import Devices
 from tronlab.errors import DeviceError, QualityError, SafetyError
-from tronlab.geometry.poses import pose_from_xyz_quat, xyz_quat_from_pose
+from tronlab.geometry.poses import FloatArray, pose_from_xyz_quat, xyz_quat_from_pose
+from tronlab.geometry.uncertainty import compose_covariance
 from tronlab.planning.shots import RangeFinder, Shot, range_los_m
 from tronlab.render.mask import model_mask
+from tronlab.terrain.config import Registration
 from tronlab.terrain.heightmap import HeightMap
+from tronlab.terrain.registration import registration_covariance
 
 T = TypeVar("T")
 
@@ -50,15 +55,24 @@ def as_stored(reading: PoseReading) -> PoseReading:
 
 @dataclass(frozen=True)
 class TruthSource:
-    """Derives what a shot should be judged by from the tracker's reading."""
+    """Derives what a shot should be judged by from the tracker's reading.
+
+    Truth is where the camera is with respect to the terrain model that cores know: its covariance
+    has the registration of that model beside those of calibration and reading.
+    """
 
     calibration: CalibrationRecord
     heightmap: HeightMap
     range_finder: RangeFinder
+    registration: Registration
+    """Of the height map."""
 
     def derive(self, reading: PoseReading) -> tuple[Truth, NDArray[np.bool_]]:
         """Give ground truth and mask of a shot from its raw T-MAC reading."""
         trs_from_cam, covariance = self.calibration.trs_from_cam(reading)
+        covariance = compose_covariance(
+            RigidTransform.identity(), self._registration_covariance, trs_from_cam, covariance
+        )
         mask = model_mask(self.heightmap, self.calibration.camera, trs_from_cam)
         truth = Truth(
             trs_from_cam=trs_from_cam,
@@ -69,6 +83,10 @@ class TruthSource:
             usable_fraction=float(mask.mean()),
         )
         return truth, mask
+
+    @cached_property
+    def _registration_covariance(self) -> FloatArray:
+        return registration_covariance(self.heightmap, self.registration)
 
 
 @dataclass

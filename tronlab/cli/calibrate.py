@@ -200,6 +200,29 @@ def hand_eye(
 
 
 @calibrate.command()
+def photometry(
+    *,
+    dataset: Annotated[
+        Path,
+        typer.Option("--from", metavar="DATASET", help="Recorded dataset, or its folder."),
+    ],
+    record: Annotated[
+        Path, typer.Option(metavar="RECORD.json", help="Calibration record to put it into.")
+    ],
+    rig: Annotated[
+        Path | None,
+        typer.Option(
+            "--rig", metavar="RIG.yaml", help="Rig file, to find the terrain if it is a file."
+        ),
+    ] = None,
+) -> None:
+    """Find how the paint of the model reflects light, from images of a recorded dataset."""
+    from tronlab.cli.calibration_photometry import calibrate_photometry
+
+    calibrate_photometry(dataset, record, rig)
+
+
+@calibrate.command()
 def rerun(
     record: Annotated[Path, typer.Argument(metavar="RECORD.json", help="Calibration record.")],
     out: Annotated[

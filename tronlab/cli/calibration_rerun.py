@@ -19,7 +19,7 @@ def rerun_record(path: Path, out: Path | None) -> bool:
     Raises:
         CalibrationError: It is no record, or its readings determine no answer.
     """
-    from tronlab.calib.record import CalibrationRecord
+    from tronlab.calib.record import CalibrationRecord, measuring_command
     from tronlab.calib.rerun import TOLERANCE, rerun
     from tronlab.campaign.provenance import software_versions
     from tronlab.cli.calibration_files import keep_old
@@ -35,8 +35,8 @@ def rerun_record(path: Path, out: Path | None) -> bool:
     if again.new_parts:
         typer.echo(f"solved for the first time: {', '.join(again.new_parts)}")
     for name, reason in again.unsolved.items():
-        command = f"tronlab calibrate {name.replace('_', '-')} --rig RIG.yaml"
-        typer.echo(f"left out, measure it anew: {command} --record {out or 'NEW.json'}\n  {reason}")
+        command = measuring_command(name.replace("_", "-"), str(out or "NEW.json"))
+        typer.echo(f"left out, measure it anew: {command}\n  {reason}")
     for difference in again.differences:
         typer.echo(difference)
     if again.differences:

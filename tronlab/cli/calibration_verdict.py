@@ -9,7 +9,13 @@ if TYPE_CHECKING:
     from scipy.spatial.transform import RigidTransform
 
     from tronlab.calib.record import CalibrationRecord
-    from tronlab.calib.results import CameraResult, HandEyeResult, LampResult, RobotResult
+    from tronlab.calib.results import (
+        CameraResult,
+        HandEyeResult,
+        LampResult,
+        PhotometryResult,
+        RobotResult,
+    )
     from tronlab.geometry.poses import FloatArray
 
 Row: TypeAlias = tuple[str, str]
@@ -43,6 +49,8 @@ def _rows(record: "CalibrationRecord") -> Iterator[Row]:
         yield from _lamp(results.lamp)
     if results.robot is not None:
         yield from _robot(results.robot)
+    if results.photometry is not None:
+        yield from _photometry(results.photometry)
 
 
 def _reflectors(statistics: dict[str, Any]) -> Iterator[Row]:
@@ -132,6 +140,34 @@ def _robot(part: "RobotResult") -> Iterator[Row]:
         )
 
 
+def _photometry(part: "PhotometryResult") -> Iterator[Row]:
+    numbers = part.photometry.model_dump(exclude={"kind"})
+    named = [f"{name} {value:.4f}" for name, value in numbers.items() if value is not None]
+    yield "photometry", ", ".join([part.photometry.kind, *named])
+    yield "  one sigma", f"{part.weight_sigma:.4f}"
+    statistics = part.statistics
+    if "rms_relative" not in statistics:
+        return
+    low, high = statistics["phase_range_deg"]
+    yield (
+        "  patches",
+        f"{statistics['n_patches']} in {statistics['n_images']} images, phase angles of"
+        f" {low:.0f} to {high:.0f} deg; {statistics['n_outliers']} left out",
+    )
+    rms = {family: f"{100 * value:.2f} %" for family, value in statistics["rms_relative"].items()}
+    yield (
+        "  grey not explained",
+        f"{rms['lunar_lambert']} rms; by Lambert {rms['lambert']}, by Lommel-Seeliger"
+        f" {rms['lommel_seeliger']}",
+    )
+    for row, name, what in (
+        ("  phase slope", "phase_slope_per_rad", "1/rad, not rendered"),
+        ("  vignetting", "vignetting_power", "power of the cosine off the axis"),
+    ):
+        yield row, f"{statistics[name]:.4f} +- {statistics[name + '_sigma']:.4f} {what}"
+    yield "  light from everywhere", f"{100 * statistics['ambient_share']:.1f} % of the grey"
+
+
 def _pose(pose: "RigidTransform") -> str:
     place = " ".join(f"{value:.5f}" for value in pose.translation)
     turn = " ".join(f"{value:.4f}" for value in np.degrees(pose.rotation.as_rotvec()))
@@ -175,5 +211,12 @@ def _warnings(record: "CalibrationRecord") -> Iterable[str]:
 
 def _parts(record: "CalibrationRecord") -> list[Any]:
     results = record.results
-    parts = (results.frame, results.camera, results.hand_eye, results.lamp, results.robot)
+    parts = (
+        results.frame,
+        results.camera,
+        results.hand_eye,
+        results.lamp,
+        results.robot,
+        results.photometry,
+    )
     return [part for part in parts if part is not None]

@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from tronlab.campaign.live import Live
     from tronlab.cli.database_evidence import Evidence
     from tronlab.nav.database import Database
+    from tronlab.nav.database_file import Pruning
+    from tronlab.nav.pruning import PruningRules, Selection
 
 
 def prune(
@@ -73,13 +75,9 @@ def prune(
     A landmark verifies in a shot if a right pose rests on it. What no shot could see stays. The new
     file remembers the counts, and by which datasets it was pruned.
     """
-    from datetime import UTC, datetime
-
     from tronlab.campaign.live import open_live
     from tronlab.dataset.places import check_is_new
-    from tronlab.nav.database_file import Pruning, read_database_file, verify_database
-    from tronlab.nav.database_writer import save_selection
-    from tronlab.nav.pruning import PruningRules, select
+    from tronlab.nav.pruning import PruningRules
     from tronlab.yaml_models import parse_mapping
 
     rules = parse_mapping(
@@ -96,42 +94,72 @@ def prune(
     check_is_new(out)
     try:
         with open_live(sys.stderr) as live:
-            verify_database(path)
-            source = read_database_file(path)
-            database = source.database
-            evidence = _evidence(database, verified_by or [], max_error_pct, live)
-            counts = evidence.counts if evidence else source.counts
-            selection = select(
-                database,
-                counts,
-                rules,
-                on_progress=lambda n_done, n_all: live.advance(
-                    "duplicates", n_done=n_done, n_all=n_all
-                ),
-            )
-            pruning = Pruning(
-                time_utc=datetime.now(UTC).isoformat(timespec="seconds"),
-                from_digest=database.digest,
-                n_before=len(database),
-                n_after=len(selection.chosen),
-                datasets=evidence.datasets if evidence else (),
-                rules={**rules.model_dump(), "max_error_pct": max_error_pct},
-            )
-            save_selection(
-                source,
-                selection.chosen,
-                selection.p_trs_m,
+            summary = _prune(
+                path,
                 out,
-                pruning=pruning,
-                counts=counts,
+                rules=rules,
+                folders=verified_by or [],
+                max_error_pct=max_error_pct,
+                live=live,
             )
     except KeyboardInterrupt:
         typer.echo(f"interrupted: nothing is left of {out}", err=True)
         raise typer.Exit(INTERRUPTED) from None
-    typer.echo(
-        f"{out}: {len(selection.chosen)} of {len(database)} landmarks; left out:"
+    typer.echo(summary)
+
+
+def _prune(
+    path: Path,
+    out: Path,
+    *,
+    rules: "PruningRules",
+    folders: list[Path],
+    max_error_pct: float,
+    live: "Live",
+) -> str:
+    """Write what stays of a database; give what is said of it."""
+    from tronlab.nav.database_file import read_database_file, verify_database
+    from tronlab.nav.database_writer import save_selection
+    from tronlab.nav.pruning import select
+
+    verify_database(path)
+    source = read_database_file(path)
+    evidence = _evidence(source.database, folders, max_error_pct, live)
+    counts = evidence.counts if evidence else source.counts
+    selection = select(
+        source.database,
+        counts,
+        rules,
+        on_progress=lambda n_done, n_all: live.advance("duplicates", n_done=n_done, n_all=n_all),
+    )
+    pruning = _pruning_of(source.database, selection, evidence, rules, max_error_pct)
+    save_selection(source, selection.chosen, selection.p_trs_m, out, pruning=pruning, counts=counts)
+    return (
+        f"{out}: {pruning.n_after} of {pruning.n_before} landmarks; left out:"
         f" {selection.n_unverified} never or seldom verified, {selection.n_merged} there twice,"
         f" {selection.n_thinned} in crowded cells"
+    )
+
+
+def _pruning_of(
+    database: "Database",
+    selection: "Selection",
+    evidence: "Evidence | None",
+    rules: "PruningRules",
+    max_error_pct: float,
+) -> "Pruning":
+    """Say what the new file remembers of how it came about."""
+    from datetime import UTC, datetime
+
+    from tronlab.nav.database_file import Pruning
+
+    return Pruning(
+        time_utc=datetime.now(UTC).isoformat(timespec="seconds"),
+        from_digest=database.digest,
+        n_before=len(database),
+        n_after=len(selection.chosen),
+        datasets=evidence.datasets if evidence else (),
+        rules={**rules.model_dump(), "max_error_pct": max_error_pct},
     )
 
 

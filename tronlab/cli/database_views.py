@@ -129,7 +129,7 @@ class CampaignViews:
         from tronlab.campaign.rendering import Scene
         from tronlab.render.registry import open_renderer
 
-        config = self._job.campaign.config.database
+        config = self._job.database_images
         renderer = open_renderer(
             config.renderer, self._heightmap, every_n=config.every_n, announce=self._live.announce
         )

@@ -176,7 +176,7 @@ class _Scenes:
     def _database(self) -> "Scene":
         from tronlab.campaign.rendering import Scene, database_poses, poses_of
 
-        job, config = self._job, self._job.campaign.config.database
+        job, config = self._job, self._job.database_images
         name, every_n = self._choice.over(config)
         return Scene(
             name=Images.DATABASE.value,

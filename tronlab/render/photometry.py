@@ -83,7 +83,7 @@ class Hapke(Model):
     """h: the surge has half its height at the phase angle 2 atan(h)."""
 
 
-def _named(value: Any) -> Any:
+def by_name(value: Any) -> Any:
     """Let a function be asked for by its name alone: ``photometry: lambert``."""
     return {"kind": value} if isinstance(value, str) else value
 
@@ -91,9 +91,9 @@ def _named(value: Any) -> Any:
 Photometry: TypeAlias = Annotated[
     Lambert | LommelSeeliger | LunarLambert | Hapke, Field(discriminator="kind")
 ]
-_Name: TypeAlias = Literal["lambert", "lommel_seeliger", "lunar_lambert", "hapke"]
+PhotometryName: TypeAlias = Literal["lambert", "lommel_seeliger", "lunar_lambert", "hapke"]
 PhotometryField: TypeAlias = Annotated[
-    Photometry, BeforeValidator(_named, json_schema_input_type=_Name | Photometry)
+    Photometry, BeforeValidator(by_name, json_schema_input_type=PhotometryName | Photometry)
 ]
 """As a YAML file has it: a name, or a mapping with ``kind`` and the function's parameters."""
 

@@ -12,11 +12,9 @@ Shadows: TypeAlias = Literal["map", "rays"]
 DEFAULT_RENDERER = "heightfield"
 
 
-class RenderSettings(Model):
-    """How an image is rendered."""
+class RenderOptions(Model):
+    """How an image is rendered, whatever the surface is like."""
 
-    photometry: PhotometryField = Lambert()
-    """How the surface is taken to reflect light: a name, or a mapping with kind and parameters."""
     rays_per_pixel: RaysPerPixel = 1
     """Rays cast through a pixel: 1 is faster, 4 has smooth edges."""
     shadows: Shadows = "map"
@@ -32,10 +30,21 @@ class RenderSettings(Model):
     a simple lens."""
 
 
-class RenderedImages(RenderSettings):
-    """Who renders images, and how."""
+class RenderSettings(RenderOptions):
+    """How an image is rendered."""
+
+    photometry: PhotometryField = Lambert()
+    """How the surface is taken to reflect light: a name, or a mapping with kind and parameters."""
+
+
+class RendererChoice(Model):
+    """Who renders images."""
 
     renderer: Annotated[str, Field(min_length=1)] = DEFAULT_RENDERER
     """Who renders them: `heightfield`, `reference`, `mitsuba`, `cycles`, or another installed."""
     every_n: Annotated[int, Field(ge=1, le=100)] = 1
     """Take every so many samples of the terrain alone: for renderers that keep a mesh of it."""
+
+
+class RenderedImages(RendererChoice, RenderSettings):
+    """Who renders images, and how."""

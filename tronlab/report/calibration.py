@@ -18,6 +18,7 @@ from tronlab.report.calibration_images import (
     projection_picture,
     residual_picture,
 )
+from tronlab.report.calibration_photometry import photometry_chart
 from tronlab.report.style import save_chart
 
 
@@ -49,6 +50,9 @@ def _figures(record: CalibrationRecord) -> Iterator[tuple[str, Figure]]:
     frame, measured = record.results.frame, record.inputs.frame
     if frame is not None and measured is not None:
         yield "frame", frame_chart(measured, frame)
+    photometry, patches = record.results.photometry, record.inputs.photometry
+    if photometry is not None and patches is not None:
+        yield "photometry", photometry_chart(patches, photometry)
     if _has_budget(record):
         yield "budget", budget_chart(error_budget(record, sweep(record)))
 

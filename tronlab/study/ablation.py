@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from tronlab.score.evaluation.ablation import ALL, KINDS, NONE, Kind, Source, only, without
+from tronlab.study.calibration import calibration_steps
 from tronlab.study.config import DatasetName, MeasuredPart, SourceConfig
 from tronlab.study.keys import RECORDING_CODE, SCORING_CODE, key_of
 from tronlab.study.recording import (
     SCORES_NAME,
     Recording,
-    calibration_steps,
     recording_of,
     recording_steps,
     score_datasets,

@@ -40,6 +40,7 @@ def check_study(study: Study, *, live: Live) -> None:
         if errors:
             raise join_errors(errors)
         _check_campaigns(study, variants, live)
+        _check_photometry(study, live)
 
 
 def _check_campaigns(study: Study, folder: Path, live: Live) -> None:
@@ -55,6 +56,15 @@ def _check_campaigns(study: Study, folder: Path, live: Live) -> None:
         if study.quick:
             _check_devices(job)
         live.advance("campaigns read", n_done=n_done, n_all=len(study.datasets))
+
+
+def _check_photometry(study: Study, live: Live) -> None:
+    """Read the campaigns that a full study measures photometry with."""
+    for name in () if study.quick else study.laboratories:
+        one = study.config.laboratories[name]
+        if one.photometry is not None:
+            acceptance = Acceptance(is_given=True, warn=live.announce)
+            read_job(Files(one.photometry, one.rig, one.record), seed=None, acceptance=acceptance)
 
 
 def _check_devices(job: Job) -> None:

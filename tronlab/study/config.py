@@ -19,7 +19,7 @@ DatasetName: TypeAlias = Literal[
     "dataset_2_nominal",
     "dataset_2_perturbed",
 ]
-MeasuredPart: TypeAlias = Literal["frame", "intrinsics", "hand_eye", "lamp"]
+MeasuredPart: TypeAlias = Literal["frame", "intrinsics", "hand_eye", "lamp", "photometry"]
 Changes: TypeAlias = Annotated[dict[str, Any], Field(default_factory=dict)]
 """Keys of a file, nested, with the values they get instead; as ``changes`` of a rig variant."""
 
@@ -32,6 +32,9 @@ class LaboratoryConfig(Model):
     record: ExistingFile
     """Its calibration record as it is kept with the campaigns. A full study measures another one;
     a quick one takes this."""
+    photometry: ExistingFile | None = None
+    """Campaign whose images a full study takes to measure how the model reflects light; null: it
+    does not. Rig and calibration record are those of the laboratory, whatever it names."""
     larger: ExistingFile | None = None
     """Rig that differs by a terrain model that fills the image, and by a lamp that lights it."""
     larger_record: ExistingFile | None = None

@@ -82,9 +82,17 @@ def _with_true_lamp(results: "Results", truth: "TrueLaboratory") -> "Results":
     )
 
 
+def _with_true_photometry(results: "Results", truth: "TrueLaboratory") -> "Results":
+    if results.photometry is None:
+        return results
+    true = replace(results.photometry, photometry=truth.photometry, weight_sigma=0.0)
+    return replace(results, photometry=true)
+
+
 _WITH_TRUE: "Mapping[MeasuredPart, Callable[[Results, TrueLaboratory], Results]]" = {
     "frame": _with_true_frame,
     "intrinsics": _with_true_intrinsics,
     "hand_eye": _with_true_hand_eye,
     "lamp": _with_true_lamp,
+    "photometry": _with_true_photometry,
 }

@@ -6,8 +6,9 @@ from pathlib import Path
 
 from tronlab.score.evaluation.ablation import NONE
 from tronlab.study.ablation import SHARES_FILE, ablation_steps, folders_of
+from tronlab.study.datasets import dataset_steps
 from tronlab.study.keys import key_of
-from tronlab.study.recording import SCORES_NAME, dataset_steps
+from tronlab.study.recording import SCORES_NAME
 from tronlab.study.steps import Desk, Step
 from tronlab.study.study import Study
 from tronlab.study.writing import replace_text

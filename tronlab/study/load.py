@@ -14,12 +14,12 @@ from typing import Any, Final, Literal, TypeAlias
 
 from tronlab.errors import ScoreError
 from tronlab.nav.settings import PRESETS, DetectorSettings, core_settings
+from tronlab.study.calibration import calibration_steps
 from tronlab.study.config import DatasetName, LoadConfig
 from tronlab.study.keys import RECORDING_CODE, key_of
 from tronlab.study.load_frames import frames_file, make_frames
 from tronlab.study.load_landmarks import LOW_THRESHOLDS, database_file, make_databases
 from tronlab.study.load_process import LoadFigures, LoadJob
-from tronlab.study.recording import calibration_steps
 from tronlab.study.steps import Desk, Step
 from tronlab.study.study import Study
 from tronlab.study.writing import replace_text

@@ -109,7 +109,7 @@ class _Views:
     def __init__(self, job: Job) -> None:
         from tronlab.render.registry import open_renderer
 
-        self._settings = config = job.campaign.config.database
+        self._settings = config = job.database_images
         self._lamp = job.lamp
         self.heightmap = job.rig.load_heightmap()
         self._renderer = open_renderer(config.renderer, self.heightmap, every_n=config.every_n)

@@ -6,8 +6,9 @@ from pathlib import Path
 
 from tronlab.dataset.location import DATASET_NAME
 from tronlab.study.config import DatasetName
+from tronlab.study.datasets import dataset_steps
 from tronlab.study.keys import key_of
-from tronlab.study.recording import SCORES_NAME, dataset_steps, recording_of
+from tronlab.study.recording import SCORES_NAME, recording_of
 from tronlab.study.steps import Desk, Step
 from tronlab.study.study import Study
 from tronlab.study.writing import replace_text

@@ -1,4 +1,4 @@
-"""Steps that make datasets: calibrate, record, score, report."""
+"""Steps that make a dataset: record, score."""
 
 import os
 import shutil
@@ -11,15 +11,13 @@ from typing import Any
 from tronlab.dataset.location import DATASET_NAME
 from tronlab.errors import ChangedError
 from tronlab.study.config import DatasetName
-from tronlab.study.keys import RECORDING_CODE, REPORT_CODE, SCORING_CODE, key_of
+from tronlab.study.keys import RECORDING_CODE, SCORING_CODE, key_of
 from tronlab.study.steps import Desk, Step
-from tronlab.study.study import Study, record_file
+from tronlab.study.study import Study
 from tronlab.study.variants import Variant, write_variant
-from tronlab.study.writing import replace_text
 from tronlab.yaml_variants import merged
 
 SCORES_NAME = "scores.csv"
-PAGE_NAME = "report.html"
 
 _PAPER_SHOTS: Mapping[DatasetName, int] = {
     "dataset_0": 61,
@@ -29,9 +27,8 @@ _PAPER_SHOTS: Mapping[DatasetName, int] = {
     "dataset_2_perturbed": 50,
 }
 """What the time of a step is guessed from before it was ever done."""
-_START_S, _RECORD_S, _SCORE_S, _REPORT_S = 15.0, 0.7, 0.7, 12.0
-"""To get ready, for a shot recorded and scored, and for a report."""
-_CALIBRATE_S = 90.0
+_START_S, _RECORD_S, _SCORE_S = 15.0, 0.7, 0.7
+"""To get ready, and for a shot recorded and scored."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,58 +91,6 @@ def recording_of(
     )
 
 
-def calibration_steps(study: Study) -> list[Step]:
-    """Calibrate each laboratory: a full study measures, a quick one takes the records kept."""
-    steps: list[Step] = []
-    for name in study.laboratories:
-        laboratory = study.config.laboratories[name]
-        steps.append(
-            _calibration(study, name, laboratory.rig, laboratory.record, record_file(name))
-        )
-        is_larger = any(study.laboratory_name(dataset) == name for dataset in study.larger)
-        if is_larger and laboratory.larger is not None and laboratory.larger_record is not None:
-            named, record = f"{name}, larger terrain", record_file(name, larger=True)
-            steps.append(
-                _calibration(study, named, laboratory.larger, laboratory.larger_record, record)
-            )
-    return steps
-
-
-def _calibration(study: Study, name: str, rig: Path, kept: Path, record: Path) -> Step:
-    """Give the step that makes a record, ``kept`` being the one kept with the campaigns."""
-    if not study.quick:
-        return Step(
-            f"calibrate {name}",
-            key_of(code=RECORDING_CODE, rig=Variant(rig).key),
-            cost=_CALIBRATE_S,
-            run=partial(_calibrate, rig=rig, record=record),
-            results=(record,),
-        )
-
-    def copy(desk: Desk) -> None:
-        replace_text(desk.out / record, kept.read_text(encoding="utf-8"))
-
-    return Step(
-        f"calibration of {name}: take the record kept",
-        key_of(files=[kept]),
-        cost=0.1,
-        run=copy,
-        results=(record,),
-    )
-
-
-def dataset_steps(study: Study, *, larger: bool = False) -> list[Step]:
-    """Record, score and report the study's datasets."""
-    calibrations = calibration_steps(study)
-    steps: list[Step] = []
-    for dataset in study.larger if larger else study.datasets:
-        recording = recording_of(study, dataset, larger=larger)
-        own = [step for step in calibrations if recording.record in step.results]
-        steps += recording_steps(study, recording, after=own)
-        steps.append(_report_step(recording, after=steps[-1:]))
-    return steps
-
-
 def recording_steps(
     study: Study, recording: Recording, *, after: Sequence[Step], cores: Sequence[str] = ()
 ) -> list[Step]:
@@ -181,40 +126,11 @@ def recording_steps(
     return [record, score]
 
 
-def _report_step(recording: Recording, *, after: Sequence[Step]) -> Step:
-    return Step(
-        f"report {recording.name}",
-        key_of(code=REPORT_CODE, after=after),
-        cost=_REPORT_S,
-        run=partial(_report, folder=recording.folder),
-        results=(recording.folder / PAGE_NAME,),
-    )
-
-
 def _quick_changes(study: Study, dataset: DatasetName) -> dict[str, Any]:
     """Give what of a campaign is otherwise in a quick study."""
     if not (study.quick and dataset.endswith("_perturbed")):
         return {}
     return {"trajectory": {"perturbed": {"only": list(study.config.quick.perturbed_only)}}}
-
-
-def _calibrate(desk: Desk, *, rig: Path, record: Path) -> None:
-    """Measure everything, without anybody at the rig."""
-    from tronlab.calib.wizard import ALL_PARTS, Unattended
-    from tronlab.campaign.calibrating import measure_parts
-    from tronlab.campaign.rig import load_rig
-
-    measured = measure_parts(
-        ALL_PARTS,
-        load_rig(rig),
-        None,
-        dialogue=Unattended(desk.live),
-        seed=0,
-        keep=lambda _: None,  # it takes a minute, and whatever ends it, it begins anew
-    )
-    path = desk.out / record
-    path.parent.mkdir(parents=True, exist_ok=True)
-    measured.save(path)
 
 
 def _record(desk: Desk, *, recording: Recording) -> None:
@@ -292,13 +208,6 @@ def score_datasets(desk: Desk, cores: Sequence[str], folders: Sequence[Path]) ->
         progress=lambda done, n: desk.live.advance("score", n_done=done, n_all=n),
         announce=desk.live.announce,
     )
-
-
-def _report(desk: Desk, *, folder: Path) -> None:
-    from tronlab.report.build import build_report
-
-    desk.live.announce("report: drawing figures")
-    build_report(desk.out / folder, announce=desk.live.announce)
 
 
 def file_of(variant: Variant, path: Path) -> Path:

@@ -30,11 +30,12 @@ def steps_of(study: Study) -> list[Step]:
         ConfigError: A file says something that cannot be.
     """
     from tronlab.study.ablation import ablation_steps
+    from tronlab.study.calibration import calibration_steps
+    from tronlab.study.datasets import dataset_steps
     from tronlab.study.limits import limits_steps
     from tronlab.study.load import load_steps
     from tronlab.study.page import report_steps
     from tronlab.study.perturbation import perturbation_steps
-    from tronlab.study.recording import calibration_steps, dataset_steps
     from tronlab.study.selection import selection_steps
     from tronlab.study.worst import worst_steps
 

@@ -83,7 +83,7 @@ def _true_positions_m(path: Path) -> FloatArray:
 def _first_view(job: Job, heightmap: HeightMap, nominal: _Poses, desk: Desk) -> MaskedView:
     """Render what the wide lens sees from the first, highest point of the nominal trajectory."""
     pose = max(nominal, key=lambda trs_from_cam: float(trs_from_cam.translation[2]))
-    config, camera = job.campaign.config.database, job.calibration.camera
+    config, camera = job.database_images, job.calibration.camera
     renderer = open_renderer(
         config.renderer, heightmap, every_n=config.every_n, announce=desk.live.announce
     )

@@ -10,8 +10,9 @@ from tronlab.dataset.location import DATASET_NAME
 from tronlab.nav.settings import PRESETS
 from tronlab.nav.specs import CoreSpec
 from tronlab.study.config import DatasetName, SelectionVariant
+from tronlab.study.datasets import dataset_steps
 from tronlab.study.keys import SCORING_CODE, key_of
-from tronlab.study.recording import SCORES_NAME, dataset_steps
+from tronlab.study.recording import SCORES_NAME
 from tronlab.study.steps import Desk, Step
 from tronlab.study.study import Study
 from tronlab.study.writing import replace_text

@@ -5,8 +5,8 @@ from functools import partial
 from pathlib import Path
 
 from tronlab.study.config import DatasetName
+from tronlab.study.datasets import PAGE_NAME, dataset_steps
 from tronlab.study.keys import key_of
-from tronlab.study.recording import PAGE_NAME, dataset_steps
 from tronlab.study.steps import Desk, Step
 from tronlab.study.study import Study
 from tronlab.study.writing import replace_text

@@ -1,5 +1,6 @@
 """What a rig file says about its terrain model."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal, Self, TypeAlias
 
@@ -16,6 +17,23 @@ LengthM: TypeAlias = Annotated[float, Field(ge=0.02, le=50.0)]
 CoordinateM: TypeAlias = Annotated[float, Field(ge=-100.0, le=100.0)]
 PixelIndex: TypeAlias = Annotated[int, Field(ge=0)]
 PixelCount: TypeAlias = Annotated[int, Field(ge=8)]
+RegistrationM: TypeAlias = Annotated[float, Field(ge=0.0, le=0.1)]
+RegistrationDeg: TypeAlias = Annotated[float, Field(ge=0.0, le=5.0)]
+
+
+@dataclass(frozen=True, slots=True)
+class Registration:
+    """How well a terrain model lies where the laboratory believes; by default exactly."""
+
+    sigma_m: float = 0.0
+    """Standard deviation of its place, along each axis of F_TRS."""
+    sigma_deg: float = 0.0
+    """Standard deviation of its turn about its middle, about each axis."""
+
+    @property
+    def is_exact(self) -> bool:
+        """Get whether it lies there without any error."""
+        return self.sigma_m == 0.0 and self.sigma_deg == 0.0
 
 
 class _Painted(Model):
@@ -27,6 +45,11 @@ class _Painted(Model):
     def files(self) -> tuple[Path, ...]:
         """Get the files it is made from, as they are named."""
         return () if self.albedo_map is None else (self.albedo_map,)
+
+    @property
+    def registration(self) -> Registration:
+        """Get how well it lies where the laboratory believes."""
+        return Registration()
 
 
 class _Terrain(_Painted):
@@ -127,11 +150,21 @@ class FileTerrain(_Terrain):
     """How the added roughness grows with scale."""
     seed: int = Field(default=1, ge=0)
     """Seed of the added roughness."""
+    registration_sigma_m: RegistrationM = 0.0
+    """Standard deviation of where the model is placed, along each axis, as the laboratory states
+    it: it becomes part of the truth's uncertainty."""
+    registration_sigma_deg: RegistrationDeg = 0.0
+    """Likewise of how it is turned about its middle, about each axis."""
 
     @property
     def files(self) -> tuple[Path, ...]:
         """Get the files it is made from, as they are named."""
         return (self.path, *super().files)
+
+    @property
+    def registration(self) -> Registration:
+        """Get how well it lies where the laboratory believes."""
+        return Registration(self.registration_sigma_m, self.registration_sigma_deg)
 
 
 class DemTerrain(_Painted):
@@ -145,11 +178,21 @@ class DemTerrain(_Painted):
     """NAME.npy, with its description NAME.json beside it; relative to the rig file."""
     origin_trs_m: tuple[CoordinateM, CoordinateM, CoordinateM] | None = None
     """Where sample (0, 0) would lie at height 0, in F_TRS; by default as the description says."""
+    registration_sigma_m: RegistrationM = 0.0
+    """Standard deviation of where the model is placed, along each axis, as the laboratory states
+    it: it becomes part of the truth's uncertainty."""
+    registration_sigma_deg: RegistrationDeg = 0.0
+    """Likewise of how it is turned about its middle, about each axis."""
 
     @property
     def files(self) -> tuple[Path, ...]:
         """Get the files it is made from, as they are named."""
         return (self.path, *super().files)
+
+    @property
+    def registration(self) -> Registration:
+        """Get how well it lies where the laboratory believes."""
+        return Registration(self.registration_sigma_m, self.registration_sigma_deg)
 
 
 class ScanConfig(Model):
@@ -166,16 +209,22 @@ class ScanConfig(Model):
     curve."""
     spot_diameter_m: float = Field(default=0.0, ge=0.0, le=0.1)
     """Diameter of the scanner's spot on the surface, to 1/e^2 of its light: finer shapes blur."""
-    registration_sigma_m: float = Field(default=0.0, ge=0.0, le=0.1)
-    """Standard deviation of where the scan is placed, along each axis."""
-    registration_sigma_deg: float = Field(default=0.0, ge=0.0, le=5.0)
-    """Standard deviation of how it is turned about the model's middle, about each axis."""
+    registration_sigma_m: RegistrationM = 0.0
+    """Standard deviation of where the scan is placed, along each axis; it becomes part of the
+    truth's uncertainty."""
+    registration_sigma_deg: RegistrationDeg = 0.0
+    """Likewise of how it is turned about the model's middle, about each axis."""
     scanners_trs_m: tuple[tuple[CoordinateM, CoordinateM, CoordinateM], ...] = ()
     """Where the scanner stood, in F_TRS; what it sees from none of these places is a hole.
     Without any, everything is seen."""
     widest_hole_m: Annotated[float, Field(gt=0.0, le=10.0)] = 0.2
     """Wider holes are an error: no laboratory would fill them."""
     seed: int = Field(default=1, ge=0)
+
+    @property
+    def registration(self) -> Registration:
+        """Get how well it lies where the laboratory believes."""
+        return Registration(self.registration_sigma_m, self.registration_sigma_deg)
 
 
 MadeTerrain = Annotated[ProceduralTerrain | FileTerrain | DemTerrain, Field(discriminator="kind")]
@@ -197,6 +246,20 @@ class ScannedTerrain(_Painted):
     def files(self) -> tuple[Path, ...]:
         """Get the files it is made from, as they are named."""
         return (*self.of.files, *super().files)
+
+    @property
+    def registration(self) -> Registration:
+        """Get how well it lies where the laboratory believes."""
+        return self.scan.registration
+
+    @model_validator(mode="after")
+    def _check_registration(self) -> Self:
+        if not self.of.registration.is_exact:
+            raise ValueError(
+                "of.registration_sigma_m or of.registration_sigma_deg is not 0, but the terrain"
+                " that is scanned lies where it lies: state both under scan"
+            )
+        return self
 
 
 TerrainConfig = Annotated[

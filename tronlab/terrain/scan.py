@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
-from scipy.spatial.transform import RigidTransform, Rotation
+from scipy.spatial.transform import RigidTransform
 
 from tronlab.geometry.poses import FloatArray
 from tronlab.terrain.config import MAX_SAMPLES_IN_MEMORY, ScanConfig
 from tronlab.terrain.heightmap import HeightMap, TerrainError
 from tronlab.terrain.holes import fill_holes
 from tronlab.terrain.kernels import compiled, n_cores, run_interleaved
+from tronlab.terrain.registration import draw_registration_error
 
 SCAN_VERSION = 1
 """Another number, other heights from the same settings."""
@@ -51,7 +52,7 @@ def scan(heightmap: HeightMap, config: ScanConfig) -> Scan:
     """
     _check_size(heightmap, config)
     motion_rng, white_rng, shared_rng = np.random.default_rng(config.seed).spawn(3)
-    scan_from_true = draw_registration_error(motion_rng, heightmap, config)
+    scan_from_true = draw_registration_error(motion_rng, heightmap, config.registration)
     spacing_m = config.spacing_m or heightmap.spacing_m
     blurred = _blurred(heightmap, config.spot_diameter_m)
     height_m, rows, columns = _moved(blurred, scan_from_true, spacing_m)
@@ -66,19 +67,6 @@ def scan(heightmap: HeightMap, config: ScanConfig) -> Scan:
         height_m, _ = fill_holes(height_m, widest_px=round(config.widest_hole_m / spacing_m))
     scanned = HeightMap(height_m.astype(np.float32), spacing_m, heightmap.origin_trs_m)
     return Scan(scanned, scan_from_true, n_holes, n_outside)
-
-
-def draw_registration_error(
-    rng: np.random.Generator, heightmap: HeightMap, config: ScanConfig
-) -> RigidTransform:
-    """Draw a small motion: a turn about the middle of the model and a shift."""
-    turn = Rotation.from_rotvec(rng.standard_normal(3) * np.radians(config.registration_sigma_deg))
-    shift_m = rng.standard_normal(3) * config.registration_sigma_m
-    middle_trs_m = np.array([*heightmap.origin_trs_m[:2], heightmap.mean_height_trs_m])
-    middle_trs_m[:2] += np.array(heightmap.size_m) / 2
-    return RigidTransform.from_components(
-        translation=middle_trs_m + shift_m - turn.apply(middle_trs_m), rotation=turn
-    )
 
 
 def _check_size(heightmap: HeightMap, config: ScanConfig) -> None:

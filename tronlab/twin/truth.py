@@ -13,6 +13,7 @@ from tronlab.devices.laboratory import CameraSpec, LaboratorySpec, LampSpec, Ref
 from tronlab.geometry.camera import CameraModel
 from tronlab.geometry.poses import FloatArray, unit
 from tronlab.geometry.uncertainty import perturb
+from tronlab.render.photometry import Photometry
 from tronlab.twin.config import (
     Deviation,
     LensConfig,
@@ -47,6 +48,8 @@ class TrueLaboratory:
     """Centre of the light, shape (3,)."""
     board_bow_m: FloatArray
     """Sag along x, sag along y and twist of the calibration board, shape (3,); see ``board``."""
+    photometry: Photometry
+    """How the terrain model reflects light."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,6 +123,7 @@ def build_laboratory(spec: LaboratorySpec, config: WorldConfig) -> TrueLaborator
         p_targets_trs_m=p_targets,
         p_light_trs_m=p_light,
         board_bow_m=config.board.bow_sigma_m * named_rng(seed, "board bow").standard_normal(3),
+        photometry=config.surface.photometry,
     )
 
 

@@ -31,6 +31,7 @@ from tronlab.devices.registry import Devices
 from tronlab.geometry.camera import CameraModel
 from tronlab.geometry.poses import FloatArray
 from tronlab.planning.shots import Plan, Shot
+from tronlab.terrain.config import Registration
 from tronlab.terrain.heightmap import HeightMap
 
 COVARIANCE_M2 = ((1e-10, 0.0, 0.0), (0.0, 1e-10, 0.0), (0.0, 0.0, 1e-10))
@@ -214,7 +215,7 @@ def taker(
     return ShotTaker(
         devices=devices,
         config=config,
-        truth_source=TruthSource(calibration, heightmap, FlatGround()),
+        truth_source=TruthSource(calibration, heightmap, FlatGround(), Registration()),
         drift_watch=open_watch(devices.tracker, calibration, config.drift, advice="measure anew"),
     )
 

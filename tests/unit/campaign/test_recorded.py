@@ -5,11 +5,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from records import make_record, make_results
 
 from tronlab.campaign.recorded import recorded_database, recorded_heightmap, recorded_terrain
 from tronlab.campaign.rig import load_rig
 from tronlab.dataset.records import Provenance
 from tronlab.errors import ConfigError
+from tronlab.geometry.camera import CameraModel
 
 REPOSITORY = Path(__file__).parents[3]
 TWIN = REPOSITORY / "campaigns/rigs/twin.yaml"
@@ -63,9 +65,11 @@ def test_a_terrain_from_a_file_needs_the_rig_file_that_leads_to_it(
 def test_the_database_is_rendered_as_the_campaign_said(
     make_provenance: Callable[..., Provenance],
 ) -> None:
+    record = make_record(make_results(camera=CameraModel(16, 12, 12.0, 12.0, 7.5, 5.5)))
     text = "database: {n_views: 3, rays_per_pixel: 1}\nunknown: 1\n"
-    config = recorded_database(replace(make_provenance(), campaign_yaml=text))
-    assert (config.n_views, config.rays_per_pixel, config.photometry.kind) == (3, 1, "lambert")
-    assert recorded_database(make_provenance()).rays_per_pixel == 4
+    images = recorded_database(replace(make_provenance(), campaign_yaml=text), record)
+    assert (images.rays_per_pixel, images.photometry.kind) == (1, "lambert")
+    assert recorded_database(make_provenance(), record).rays_per_pixel == 4
+    wrong = replace(make_provenance(), campaign_yaml="database: {rays: 1}\n")
     with pytest.raises(ConfigError, match="database"):
-        recorded_database(replace(make_provenance(), campaign_yaml="database: {rays: 1}\n"))
+        recorded_database(wrong, record)

@@ -5,14 +5,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
-from tronlab.campaign.config import DatabaseConfig
 from tronlab.campaign.reference import render_references
 from tronlab.dataset.records import ReferenceView
 from tronlab.errors import PlanError
 from tronlab.geometry.camera import CameraModel
 from tronlab.render.photometry import Lambert
 from tronlab.render.renderer import Lamp, Rendering
-from tronlab.render.settings import RenderSettings
+from tronlab.render.settings import RenderedImages, RenderSettings
 from tronlab.terrain.heightmap import HeightMap
 
 CAMERA = CameraModel(width_px=20, height_px=20, fx_px=15.0, fy_px=15.0, cx_px=9.5, cy_px=9.5)
@@ -51,7 +50,7 @@ def references(renderer: Scripted, n_views: int) -> tuple[ReferenceView, ...]:
         renderer=renderer,  # pyright: ignore[reportArgumentType]
         camera=CAMERA,
         lamp=LAMP,
-        config=DatabaseConfig(n_views=n_views, rays_per_pixel=4, photometry=Lambert()),
+        config=RenderedImages(rays_per_pixel=4, photometry=Lambert()),
     )
 
 

@@ -19,7 +19,7 @@ def test_page_lists_keys_with_type_limits_default_and_text() -> None:
     assert row in page
     assert "| `trajectory.kind: file` |" in page
     names = "`lambert` or `lommel_seeliger` or `lunar_lambert` or `hapke` or section"
-    assert f"| `database.photometry` | {names} | `lambert` |" in page
+    assert f"| `database.photometry` | `calibrated` or {names} | `lambert` |" in page
     assert "| `database.photometry.kind: hapke` |" in page
     assert "| `trajectory.start_trs_m` | 3 x number | required |" in page
     assert "| `world.faults[].at` | integer, at least 1 | required |" in page

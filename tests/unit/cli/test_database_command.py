@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from tronlab.campaign.config import DatabaseConfig
 from tronlab.campaign.reference import render_references
 from tronlab.campaign.rendering import Scene
 from tronlab.cli.app import main
@@ -29,6 +28,7 @@ from tronlab.nav.database_file import Source, open_database, read_database_file
 from tronlab.nav.database_writer import new_database
 from tronlab.nav.settings import DetectorSettings
 from tronlab.render.renderer import Lamp, Rendering
+from tronlab.render.settings import RenderedImages
 from tronlab.score.rescoring.shot import CoreScore
 from tronlab.score.results import save_results
 from tronlab.score.table import score_row, shot_facts
@@ -179,7 +179,7 @@ def test_views_are_rendered_once_each_as_a_run_renders_them(n_views: int) -> Non
     heightmap = HeightMap(np.zeros((3, 3), np.float32), 1.0, np.zeros(3))
     poses = {i: looking_down(1, 1, 1 + 0.1 * i) for i in range(1, n_views + 1)}
     renderer, camera = FakeRenderer(), CAMERA.scaled(24)
-    lamp, config = Lamp(np.array([0.0, 0.0, 3.0]), 1.0), DatabaseConfig()
+    lamp, config = Lamp(np.array([0.0, 0.0, 3.0]), 1.0), RenderedImages(rays_per_pixel=4)
     scene = Scene("database", renderer, "fake", camera, poses, lamp, config)
     told: list[tuple[int, int]] = []
     views = list(render_views(scene, heightmap, on_sample=lambda *done: told.append(done)))

@@ -12,18 +12,19 @@ from scipy.spatial.transform import RigidTransform
 from small_study import write_small_study
 
 from tronlab.calib.record import CalibrationRecord
-from tronlab.calib.results import Results
+from tronlab.calib.results import PhotometryResult, Results
 from tronlab.campaign.live import SilentLive
 from tronlab.campaign.provenance import device_identities
 from tronlab.campaign.rig import load_rig
 from tronlab.dataset.reader import Dataset
 from tronlab.devices.registry import connected
 from tronlab.errors import CalibrationError, ConfigError
+from tronlab.render.photometry import Lambert
 from tronlab.score.evaluation.ablation import PARTS
 from tronlab.study.ablation import ablation_steps, variants_of
+from tronlab.study.calibration import calibration_steps
 from tronlab.study.known_truth import with_truth
 from tronlab.study.limits import limits_steps
-from tronlab.study.recording import calibration_steps
 from tronlab.study.steps import Desk
 from tronlab.study.study import Study, load_study
 from tronlab.study.variants import Variant, write_variant
@@ -129,6 +130,21 @@ def test_known_parts_are_what_is_true_and_the_record_serves_the_changed_rig(
     with_truth(measured, variant, ()).check_devices(identities)
     with pytest.raises(CalibrationError, match="of other devices"):
         measured.check_devices(identities)
+
+
+def test_the_true_photometric_function_is_known_if_it_was_measured(tmp_path: Path) -> None:
+    study = load_small_study(tmp_path, with_record=True)
+    rig = load_rig(study.rig_file("dataset_0"))
+    record = CalibrationRecord.load(study.laboratory("dataset_0").record)
+    found = replace(record.results, photometry=PhotometryResult(Lambert(), weight_sigma=0.1))
+
+    known = with_truth(replace(record, results=found), rig, ("photometry",)).results.photometry
+
+    assert known is not None
+    assert rig.config.world is not None
+    assert known.photometry == rig.config.world.surface.photometry != Lambert()
+    assert known.weight_sigma == 0.0
+    assert with_truth(record, rig, ("photometry",)).results.photometry is None
 
 
 def test_nobody_knows_what_is_true_of_hardware(tmp_path: Path) -> None:

@@ -16,15 +16,12 @@ from tronlab.campaign.config import load_campaign
 from tronlab.campaign.live import SilentLive
 from tronlab.campaign.rig import load_rig
 from tronlab.dataset.reader import Dataset
-from tronlab.study import recording
+from tronlab.study import calibration
+from tronlab.study.calibration import calibration_steps
 from tronlab.study.check import check_study
+from tronlab.study.datasets import dataset_steps
 from tronlab.study.keys import forget_files
-from tronlab.study.recording import (
-    calibration_steps,
-    dataset_steps,
-    recording_of,
-    recording_steps,
-)
+from tronlab.study.recording import recording_of, recording_steps
 from tronlab.study.run import ledger_of, run_steps
 from tronlab.study.steps import Step
 from tronlab.study.study import Study, load_study
@@ -165,10 +162,10 @@ def test_a_full_study_calibrates_every_rig_that_needs_it(
 ) -> None:
     measured: list[tuple[Path, Path]] = []
 
-    def note(_desk: object, *, rig: Path, record: Path) -> None:
-        measured.append((rig, record))
+    def note(_desk: object, *, rig: calibration.CalibratedRig) -> None:
+        measured.append((rig.file, rig.record))
 
-    monkeypatch.setattr(recording, "_calibrate", note)
+    monkeypatch.setattr(calibration, "_measure", note)
     path = write_small_study(tmp_path, with_record=False)
     text = path.read_text() + "\nlarger: [dataset_0]\n"
     own = "record.json, larger: campaign.yaml"

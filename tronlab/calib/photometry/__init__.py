@@ -1,0 +1,1 @@
+"""How the paint of the model reflects light, from recorded images and renderings of them."""
