@@ -30,9 +30,9 @@ from tronlab.render.renderer import Lamp
 
 N_KILLS = int(os.environ.get("TRONLAB_KILLS", "2"))
 N_FULL_DISKS = int(os.environ.get("TRONLAB_FULL_DISKS", "2"))
-N_SHOTS = int(os.environ.get("TRONLAB_SHOTS", "40"))
+N_SHOTS = int(os.environ.get("TRONLAB_SHOTS", "24"))
 SEED = int(os.environ.get("TRONLAB_SEED", "1"))
-MASTER_BYTES = 500_000
+MASTER_BYTES = 250_000
 """About what each session writes before its first shot."""
 COMMAND = [sys.executable, "-c", "from tronlab.cli import main; main()", "run"]
 FULL_DISK_C = Path(__file__).parents[1] / "support/full_disk.c"
@@ -50,7 +50,7 @@ def scattered(campaign_path: Path, edit_yaml: Callable[..., None], tmp_path: Pat
         rows.append(",".join(f"{v:.9f}" for v in (*place, *turn.as_quat())))
     (tmp_path / "poses.csv").write_text("\n".join(rows) + "\n")
     edit_yaml(campaign_path, "trajectory", {"kind": "file", "path": "poses.csv"})
-    edit_yaml(campaign_path, "recording", {"segment_shots": 16})
+    edit_yaml(campaign_path, "recording", {"segment_shots": 8})
     return campaign_path
 
 
@@ -179,10 +179,11 @@ def test_disk_full_at_random_moments(
         )
         # h5py itself prints what it cannot raise while it lets go of a file that was being made.
         assert not re.search(r'File ".*/tronlab/', ended.stderr), ended.stderr
-        n_failures += 1
+        n_failures += ended.returncode != 0
         n_now = n_shots_of(out / "dataset.h5")
         assert n_now >= n_done, "a shot was lost"
         n_done = n_now
+    assert n_failures, "the disk never was full"
     last = subprocess.run(
         arguments(scattered, out), check=False, capture_output=True, text=True, timeout=600
     )

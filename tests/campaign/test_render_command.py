@@ -13,7 +13,6 @@ from command import tronlab
 from tronlab.campaign.rig import load_rig
 from tronlab.render.cycles.process import PYTHON_VARIABLE
 
-pytestmark = pytest.mark.opencv
 EditYaml = Callable[..., None]
 
 
@@ -27,6 +26,7 @@ def rows(folder: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+@pytest.mark.opencv
 def test_both_kinds_of_images_with_depth_and_poses(campaign_path: Path, tmp_path: Path) -> None:
     answer = tronlab("render", campaign_path, cwd=tmp_path)
     assert answer.returncode == 0, answer.stderr

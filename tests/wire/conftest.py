@@ -77,16 +77,18 @@ def record_path(tmp_path: Path, twin_path: Path) -> Path:
 
 @pytest.fixture
 def campaign_path(tmp_path: Path, record_path: Path, twin_path: Path) -> Path:
-    """Four shots of the repository's straight line, without drift checks: they take long."""
+    """Three shots of the repository's straight line, without drift checks: they take long."""
     root: dict[str, Any] = YAML().load(
         (RIGS.parent / "straight_line.yaml").read_text(encoding="utf-8")
     )
     root.update(rig=str(twin_path), calibration=str(record_path), seed=3)
     root["trajectory"].update(start_trs_m=[1.08, 2.08, 3.0], end_trs_m=[1.08, 2.08, 2.7])
-    root["trajectory"]["n_points"] = 4
+    root["trajectory"]["n_points"] = 3
     root["database"]["n_views"] = 2
     root["tracker"]["window_s"] = 0.2
     root["settle"]["wait_s"] = 0.05
+    root["camera"]["timeout_s"] = 3.0
+    root["retry"] = {"lost_connection": {"max_attempts": 6, "pauses_s": [0.5]}}
     root["drift"] = None
     return write_yaml(tmp_path / "campaign.yaml", root)
 

@@ -34,6 +34,7 @@ def error_boxes(
     bins: Sequence[Bin],
     *,
     label: str = "",
+    counted: str = "shot",
 ) -> Figure:
     """Draw the position error of each core in each part of the shots as a box.
 
@@ -46,6 +47,7 @@ def error_boxes(
         column: What the shots are parted by.
         bins: The parts.
         label: What people call the column; needed unless it is one of ``BINNED_BY``.
+        counted: What people call the things that ``shot_id`` numbers, in the singular.
     """
     width = _BOX_WIDTH / max(len(styles), 1)
     with style_context():
@@ -56,7 +58,7 @@ def error_boxes(
             at = np.arange(len(bins), dtype=np.float64) + (i - (len(styles) - 1) / 2) * width
             _draw_boxes(axes, [_errors_in(rows, column, b) for b in bins], at, width, style)
             axes.plot([], [], "s", color=style.colour, label=core)
-        axes.set_xticks(range(len(bins)), [_bin_label(scores, column, b) for b in bins])
+        axes.set_xticks(range(len(bins)), [_bin_label(scores, column, b, counted) for b in bins])
         axes.set_xlim(-0.5, len(bins) - 0.5)
         axes.set_xlabel(label or BINNED_BY[column])
         axes.set_ylabel(ERROR_LABEL)
@@ -163,10 +165,10 @@ def _errors_in(rows: pd.DataFrame, column: str, bin_: Bin) -> FloatArray:
     return np.maximum(errors, SMALLEST_ERROR_PCT_LOS)
 
 
-def _bin_label(scores: pd.DataFrame, column: str, bin_: Bin) -> str:
-    shots = scores.drop_duplicates("shot_id")[column].to_numpy(np.float64)
-    n_shots = int(bin_.holds(shots).sum())
-    return f"{bin_.text}\n{n_shots} shot{'' if n_shots == 1 else 's'}"
+def _bin_label(scores: pd.DataFrame, column: str, bin_: Bin, counted: str) -> str:
+    values = scores.drop_duplicates("shot_id")[column].to_numpy(np.float64)
+    n_held = int(bin_.holds(values).sum())
+    return f"{bin_.text}\n{n_held} {counted}{'' if n_held == 1 else 's'}"
 
 
 def _draw_recall(

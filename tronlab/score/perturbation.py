@@ -135,8 +135,9 @@ def perturbation_table(
 def rank_table(perturbation: pd.DataFrame) -> pd.DataFrame:
     """Correlate the errors of each dataset and core with every measure of the perturbation.
 
-    Repeats of a shot with other seeds count once, by their mean. The interval draws whole
-    trajectories: shots of one are perturbed alike. Beside each correlation stands the partial one,
+    Repeats of a shot with other seeds count once, by their mean. Interval and probability keep
+    trajectories whole: shots of one are perturbed alike. Six of them can be exchanged in 720 ways,
+    so that no probability is below 0.0014. Beside each correlation stands the partial one,
     given range and usable fraction (``partial_``): both make errors larger, and both are tied to
     where on its trajectory a shot is, as the perturbation is.
     """

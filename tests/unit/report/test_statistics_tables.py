@@ -105,6 +105,9 @@ def test_pictures_of_cores_with_and_without_what_they_draw(scores, lose):
     assert [text.get_text().splitlines()[1] for text in axes.get_xticklabels()] == [
         "15 shots", "15 shots", "15 shots", "16 shots"
     ]  # fmt: skip
+    answers = scores.assign(shot_id=np.arange(len(scores)))
+    axes = error_boxes(answers, styles, "range_los_m", bins, counted="answer").axes[0]
+    assert axes.get_xticklabels()[0].get_text().endswith("\n60 answers")
     lines = {
         line.get_label(): line for line in recall_curve(scores, styles, THRESHOLDS).axes[0].lines
     }

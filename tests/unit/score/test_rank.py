@@ -82,6 +82,53 @@ def test_interval_draws_whole_groups(rng: np.random.Generator) -> None:
     assert naive.high - naive.low < 0.7 * (single.high - single.low)
 
 
+def _walks(rng: np.random.Generator, lengths: np.ndarray) -> np.ndarray:
+    """Values that change slowly along each of some trajectories, and follow nothing."""
+    return np.concatenate([rng.normal() + 0.3 * rng.normal(size=n).cumsum() for n in lengths])
+
+
+def test_chance_is_as_frequent_as_said_only_if_groups_stay_whole(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Two quantities, each slow along trajectories of unequal lengths, with nothing in common."""
+    monkeypatch.setattr(rank, "N_PERMUTATIONS", 199)
+    monkeypatch.setattr(rank, "_interval", lambda *_: None)
+    n_trials, n_whole, n_single = 300, 0, 0
+    for seed in range(n_trials):
+        rng = np.random.default_rng(seed)
+        lengths = rng.integers(5, 9, 15)
+        x, y = _walks(rng, lengths), _walks(rng, lengths)
+        n_whole += rank_correlation(x, y, groups=np.repeat(np.arange(15), lengths)).p < 0.05
+        n_single += rank_correlation(x, y).p < 0.05
+    low, high = stats.binom.ppf([1e-3, 1 - 1e-3], n_trials, 0.05)
+    assert low <= n_whole <= high
+    assert n_single > 0.3 * n_trials
+
+
+def test_groups_that_do_follow_are_found(rng: np.random.Generator) -> None:
+    lengths = rng.integers(5, 9, 15)
+    x = _walks(rng, lengths)
+    groups = np.repeat(np.arange(15), lengths)
+    assert rank_correlation(x, x + 0.5 * _walks(rng, lengths), groups=groups).p < 0.01
+
+
+def test_what_every_group_has_along_it_is_not_taken_for_a_connection(
+    rng: np.random.Generator,
+) -> None:
+    """Both rise along each trajectory; which trajectory it is does not matter."""
+    along = np.tile(np.arange(8.0), 15)
+    x, y = along + rng.normal(size=(2, 120))
+    found = rank_correlation(x, y, groups=np.repeat(np.arange(15), 8))
+    assert found.rho > 0.6
+    assert found.p > 0.05
+    assert rank_correlation(x, y).p < 0.001
+
+
+def test_one_group_cannot_be_exchanged(tied) -> None:
+    x, y = tied
+    assert rank_correlation(x, y, groups=np.zeros(N)).p == 1.0
+
+
 def test_intervals_hold_the_truth_as_often_as_they_say() -> None:
     rho = 0.5
     truth = 6 / np.pi * np.arcsin(rho / 2)  # Spearman's of two normal variables

@@ -6,6 +6,7 @@ correlation is that of the ranks with what ranks of other quantities explain lin
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -31,8 +32,9 @@ class RankCorrelation:
     interval: Interval | None
     """95 %; None with fewer than ``MIN_SHOTS`` groups, or if ``rho`` is not known."""
     p: float
-    """Probability of one as far from 0, either way, if the two had nothing to do with each other;
-    NaN if ``rho`` is not known."""
+    """Probability of one as far, either way, from what other pairings of the groups give, if a
+    group's values of the one had nothing to do with its values of the other; NaN if ``rho`` is not
+    known. Never below one over the factorial of the number of groups."""
 
 
 def rank_correlation(
@@ -40,18 +42,24 @@ def rank_correlation(
 ) -> RankCorrelation:
     """Correlate ranks.
 
-    The interval is a BCa bootstrap that draws whole groups: values of one group are not independent
-    of one another. The probability is that of a permutation test: of ``N_PERMUTATIONS`` random
-    orders of ``y``, those with an absolute correlation not smaller, and the given order itself
-    (Phipson, Smyth, Stat. Appl. Genet. Mol. Biol. 9 (2010) 39). With ``given`` it is what these do
-    not explain of ``y`` that is put into other orders (Freedman, Lane, J. Bus. Econ. Stat. 1 (1983)
-    292), which is approximate.
+    Values of one group, as along a trajectory, are not independent of one another. The interval is
+    a BCa bootstrap that draws whole groups. The probability is that of a permutation test that
+    pairs each group's ``x`` with another group's ``y`` and leaves the order within groups alone:
+    groups may be exchanged, single values may not (Winkler, Webster, Vidaurre, Nichols, Smith,
+    NeuroImage 123 (2015) 253, whole-block exchangeability). What the order within groups does to
+    both alike stays in every pairing; so the distance counts from the mean of all pairings, which
+    is 0 without groups. Where groups differ in length, a value is paired with that at the nearest
+    relative place of the other group, which is approximate. Of ``N_PERMUTATIONS`` random pairings,
+    and the given one itself, those as far count (Phipson, Smyth, Stat. Appl. Genet. Mol. Biol. 9
+    (2010) 39). With ``given`` it is what these do not explain of ``y`` that is paired anew
+    (Freedman, Lane, J. Bus. Econ. Stat. 1 (1983) 292), which is approximate too.
 
     Args:
         x: Shape (n,); pairs that are not finite are left out.
         y: Shape (n,).
         given: Quantities that both may follow, shape (n, k); None: none.
-        groups: To which group each pair belongs, shape (n,), any type; None: each to its own.
+        groups: To which group each pair belongs, shape (n,), any type; pairs of a group in their
+            order along it. None: each to its own.
     """
     a, b = np.asarray(x, np.float64), np.asarray(y, np.float64)
     z = np.empty((len(a), 0)) if given is None else np.asarray(given, np.float64)
@@ -59,12 +67,13 @@ def rank_correlation(
     is_finite = np.isfinite(columns).all(axis=1)
     columns = columns[is_finite]
     labels = np.arange(len(a)) if groups is None else np.asarray(groups)
+    place = _places(labels)[is_finite]
     group = np.unique(labels[is_finite], return_inverse=True)[1]
     rho = float(_correlations(columns, np.ones((1, len(columns))))[0])
     if not np.isfinite(rho):
         return RankCorrelation(len(columns), np.nan, None, np.nan)
     return RankCorrelation(
-        len(columns), rho, _interval(columns, group, rho), _probability(columns, rho)
+        len(columns), rho, _interval(columns, group, rho), _probability(columns, group, place, rho)
     )
 
 
@@ -79,17 +88,42 @@ def _interval(columns: FloatArray, group: NDArray[np.intp], rho: float) -> Inter
     return bca_interval(rho, drawn[np.isfinite(drawn)], left.mean() - left)
 
 
-def _probability(columns: FloatArray, rho: float) -> float:
+def _probability(
+    columns: FloatArray, group: NDArray[np.intp], place: FloatArray, rho: float
+) -> float:
     ranks = np.column_stack([_ranks(column, np.ones((1, len(column))))[0] for column in columns.T])
     given = np.column_stack([np.ones(len(ranks)), ranks[:, 2:]])
     x, y = (_left_over(ranks[:, i], given) for i in (0, 1))
-    orders = np.random.default_rng(_SEED).permuted(np.tile(y, (N_PERMUTATIONS, 1)), axis=1)
-    if given.shape[1] > 1:
-        orders -= orders @ given @ np.linalg.pinv(given)
-    found = orders @ x / np.linalg.norm(orders, axis=1) / np.linalg.norm(x)
-    # Orders as good as the given one may differ from it by rounding.
-    n_as_large = int((np.abs(found) >= abs(rho) * (1.0 - 1e-9)).sum())
-    return (n_as_large + 1) / (N_PERMUTATIONS + 1)
+    pairings = y[_pairings(group, place)]
+    pairings -= pairings @ given @ np.linalg.pinv(given)
+    size = np.linalg.norm(pairings, axis=1)
+    # A pairing that leaves nothing of y to correlate says as little as one of 0.
+    found = np.divide(pairings @ x, size * np.linalg.norm(x), out=0.0 * size, where=size > _SAME)
+    centre = (found.sum() + rho) / (N_PERMUTATIONS + 1)
+    # Pairings as good as the given one may differ from it by rounding.
+    n_as_far = int((np.abs(found - centre) >= abs(rho - centre) - _SAME).sum())
+    return (n_as_far + 1) / (N_PERMUTATIONS + 1)
+
+
+def _pairings(group: NDArray[np.intp], place: FloatArray) -> NDArray[np.intp]:
+    """Exchange whole groups at random; give whose ``y`` each pair gets, shape (n_pairings, n)."""
+    partner = np.empty((len(group), int(group.max()) + 1), np.intp)
+    """Of each pair, its counterpart in each group: that at the nearest place."""
+    for i in range(partner.shape[1]):
+        members = np.flatnonzero(group == i)
+        partner[:, i] = members[np.abs(place[:, None] - place[members]).argmin(axis=1)]
+    groups = np.tile(np.arange(partner.shape[1]), (N_PERMUTATIONS, 1))
+    exchanged = np.random.default_rng(_SEED).permuted(groups, axis=1)
+    return partner[np.arange(len(group)), exchanged[:, group]]
+
+
+def _places(labels: NDArray[Any]) -> FloatArray:
+    """Give the relative place of each pair in its group, 0 to 1, shape (n,)."""
+    place = np.empty(len(labels))
+    for label in np.unique(labels):
+        members = np.flatnonzero(labels == label)
+        place[members] = (np.arange(len(members)) + 0.5) / len(members)
+    return place
 
 
 def _left_over(values: FloatArray, given: FloatArray) -> FloatArray:
