@@ -106,7 +106,8 @@ class Trial:
         """Take shots in a laboratory that may be damaged, after good ones."""
         rig = self.rig if damage is None else _damaged(self.rig, damage)
         devices = rig.open_devices(self.config.seed, load_heightmap=lambda: self.heightmap)
-        truth_source = TruthSource(self.calibration, self.heightmap, self.renderer)
+        registration = self.rig.config.terrain.registration
+        truth_source = TruthSource(self.calibration, self.heightmap, self.renderer, registration)
         taker = ShotTaker(devices, self.config, truth_source, light=self.light)
         for record in before:
             if record.quality is not None:

@@ -107,7 +107,12 @@ def tronlab_ms(job: Job, foresight: Foresight, out: Path) -> list[float]:
     taker = ShotTaker(
         devices=devices_of(InstantDevices(job, np.random.default_rng(1))),
         config=config,
-        truth_source=TruthSource(calibration, foresight.heightmap, foresight.renderer),
+        truth_source=TruthSource(
+            calibration,
+            foresight.heightmap,
+            foresight.renderer,
+            job.rig.config.terrain.registration,
+        ),
         light=light,
     )
     nobody = DeviceIdentity("", "", "", "")

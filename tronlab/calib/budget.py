@@ -3,7 +3,8 @@
 A pose ``trs_from_cam = trs_from_trk * trk_from_tmac * tmac_from_cam`` is uncertain by the frame, by
 the tracker's reading and by the hand-eye transform. To first order their covariances add, so that
 each has its share. How far landmarks move in the image by it is what a navigation core is charged
-with though it is not its fault; lens and lamp are listed beside for the same reason.
+with though it is not its fault; lens and lamp are listed beside for the same reason. The
+registration of the terrain model, which no record knows, comes on top in the truth of a dataset.
 
 Every figure is one sigma of a length: the root of the summed variances along its axes.
 """

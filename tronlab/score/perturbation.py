@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 import pandas as pd
 from scipy.spatial.transform import RigidTransform
+from scipy.stats import false_discovery_control
 
 from tronlab.dataset.reader import Dataset
 from tronlab.geometry.poses import FloatArray
@@ -25,6 +26,7 @@ MEASURES = (
 )
 """Columns of the table of perturbations that the error may follow; angles by their size."""
 _ERROR = "position_error_pct_los"
+_FALSE_DISCOVERY_RATE = 0.05
 _VIEW = ("range_los_m", "usable_fraction")
 """What errors depend on by themselves, and what differs along a trajectory as perturbations do."""
 
@@ -162,18 +164,23 @@ def rank_table(perturbation: pd.DataFrame) -> pd.DataFrame:
 def view_sentence(ranks: pd.DataFrame) -> str:
     """Say whether it changes what follows that range and usable fraction are held.
 
+    Of many correlations some are large by chance: Benjamini and Hochberg's rule (Journal of the
+    Royal Statistical Society B 57 (1995), 289) counts.
+
     Args:
         ranks: What ``rank_table`` gives.
     """
     known = ranks[np.isfinite(ranks["p"]) & np.isfinite(ranks["partial_p"])]
     if known.empty:
         return "No correlation could be computed."
-    level = 0.05 / len(known)
-    is_plain, is_partial = known["p"] < level, known["partial_p"] < level
+    is_plain, is_partial = (
+        false_discovery_control(known[p].to_numpy(np.float64)) < _FALSE_DISCOVERY_RATE
+        for p in ("p", "partial_p")
+    )
     changed = int((is_plain != is_partial).sum())
     start = (
-        f"Of {len(known)} correlations {int(is_plain.sum())} differ from zero (p below 0.05 over"
-        f" their number), and {int(is_partial.sum())} once range and usable fraction are held"
+        f"Of {len(known)} correlations {int(is_plain.sum())} differ from zero (at a false discovery"
+        f" rate of 5 %), and {int(is_partial.sum())} once range and usable fraction are held"
     )
     return f"{start}: " + (f"{changed} change." if changed else "the answer stays.")
 

@@ -1,4 +1,5 @@
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ from tronlab.campaign.shot import ShotTaker
 from tronlab.devices.readings import PoseReading
 from tronlab.errors import DeviceError, NotSettledError, QualityError
 from tronlab.planning.shots import Plan
+from tronlab.terrain.config import Registration
 
 
 def take(taker: ShotTaker, plan: Plan, **begin: Any) -> Any:
@@ -33,6 +35,17 @@ def test_record_holds_what_was_read(taker: ShotTaker, plan: Plan) -> None:
     assert record.robot.rail_m == 10.0
     assert (record.frame.image == 10).all()
     np.testing.assert_allclose(record.tracker.trk_from_tmac.translation, [0, 0, 10])
+
+
+def test_truth_is_as_unsure_as_the_terrain_models_place(taker: ShotTaker) -> None:
+    reading = PoseReading(RigidTransform.from_translation([0.1, 0.2, 3.0]), np.zeros((6, 6)), 0.0)
+    exact = taker.truth_source
+    before, _ = exact.derive(reading)
+    stated = replace(exact, registration=Registration(sigma_m=2e-4, sigma_deg=0.01))
+    after, _ = stated.derive(reading)
+    lever_m = before.trs_from_cam.translation  # the model's middle is the origin
+    grown_m2 = np.trace((after.covariance - before.covariance)[3:, 3:])
+    assert grown_m2 == pytest.approx(3 * 2e-4**2 + 2.0 * np.radians(0.01) ** 2 * np.sum(lever_m**2))
 
 
 def test_truth_follows_from_the_reading_by_the_calibration(taker: ShotTaker) -> None:

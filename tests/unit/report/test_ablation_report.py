@@ -56,6 +56,8 @@ def make_limits(**changes: float | str) -> pd.DataFrame:
         "error_over_bound_q25": 1.0,
         "error_over_bound_median": 2.0,
         "error_over_bound_q75": 3.0,
+        "floor_pct_los": 0.021,
+        "error_over_floor_median": 1.9,
         "error_over_truth_median": 8.0,
         "bound_rho": 0.1,
         "none_over_bound": np.nan,

@@ -224,6 +224,8 @@ def test_limits_put_error_bound_truth_and_shares_side_by_side() -> None:
     assert row["error_over_bound_median"] == pytest.approx(
         errors.median() / (np.sqrt(2.0) * FLOOR_M)
     )
+    floors_m = np.hypot(np.sqrt(2.0) * FLOOR_M, scores[ALL]["dataset_0"]["sigma_truth_m"])
+    assert row["error_over_floor_median"] == pytest.approx((errors / floors_m).median())
     assert row["truth_sigma_pct_los"] == pytest.approx(1e-3)
     assert row["largest"] == "terrain"
     other = table.loc["dataset_2_nominal"]

@@ -38,7 +38,7 @@ def limits_chart(limits: pd.DataFrame) -> Figure:
     """Draw median error, bound and sigma of the truth of each core on each dataset.
 
     Points are errors, a colour a core; the bar beside is the Cramer-Rao bound of the same shots,
-    the cross one sigma of the truth.
+    the cross one sigma of the truth, the open circle both together.
 
     Args:
         limits: As ``limits_table`` gives it.
@@ -108,6 +108,7 @@ def _draw_limits(axes: Axes, row: Mapping[Hashable, Any], y: float, colour: str,
     axes.plot([bound, error], [y, y], color=colour, linewidth=1.0, alpha=0.5)
     axes.plot(bound, y, "|", color=colour, markersize=9, markeredgewidth=1.8)
     axes.plot(truth, y, "x", color="black", markersize=4)
+    axes.plot(float(row["floor_pct_los"]), y, "o", color=colour, markersize=5, fillstyle="none")
     axes.plot(error, y, "o", color=colour, markersize=5, label=core)
 
 
@@ -116,6 +117,8 @@ def _draw_meanings(axes: Axes) -> None:
     axes.plot([], [], "o", color="#7f7f7f", label="error")
     axes.plot([], [], "|", color="#7f7f7f", markersize=9, markeredgewidth=1.8, label="bound")
     axes.plot([], [], "x", color="black", markersize=4, label="sigma of the truth")
+    both = "bound and truth together"
+    axes.plot([], [], "o", color="#7f7f7f", markersize=5, fillstyle="none", label=both)
 
 
 def _draw_stacks(axes: Axes, shares_pct: np.ndarray) -> None:

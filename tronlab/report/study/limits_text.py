@@ -153,6 +153,8 @@ def _against_bound(number: dict[str, float]) -> Iterator[str]:
         yield f"the view limits it, for the error is {ratio:.2g} times the bound"
     elif np.isfinite(ratio):
         yield f"the view explains a part, for the error is {ratio:.2g} times the bound"
+    if np.isfinite(floor := number["error_over_floor_median"]):
+        yield f"it is {floor:.2g} times bound, truth and registration together"
     if np.isfinite(alone):
         yield (
             f"without any source of error it is {alone:.2g} times the bound, where"

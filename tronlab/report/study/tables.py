@@ -17,6 +17,7 @@ from tronlab.report.paper import (
 )
 from tronlab.report.tables import by_core
 from tronlab.score.evaluation.bins import BINNED_BY, Bin, make_bins
+from tronlab.score.evaluation.consistency import efficiency_with_truth
 from tronlab.score.evaluation.export import Cell, Column, Table
 from tronlab.score.evaluation.resampling import Estimate
 from tronlab.score.evaluation.statistics import Estimates, estimates, solved_sample
@@ -43,6 +44,8 @@ class Parted:
     label: str
     scores: pd.DataFrame
     bins: Sequence[Bin]
+    counted: str
+    """What the bins hold: shots, or answers of cores."""
 
 
 def published_table(
@@ -178,6 +181,7 @@ def bound_table(scores: Scores) -> Table:
         Column("median", "median", ".3g"),
         Column("lower_quartile", "lower quartile", ".3g"),
         Column("upper_quartile", "upper quartile", ".3g"),
+        Column("median_over_floor", "over bound and truth together, median", ".3g"),
         Column("median_over_stated", "over the core's own sigma, median", ".3g"),
         Column("bound_pct_los", "bound, median [% LOS]", ".2g"),
         Column("sigma_truth_pct_los", "sigma of truth, median [% LOS]", ".2g"),
@@ -194,7 +198,9 @@ def bound_table(scores: Scores) -> Table:
             for name in ("bound_m", "sigma_truth_m")
         )
         stated = float((known["position_error_m"] / known["sigma_core_m"]).median())
-        rows.append((DATASETS[dataset].title, core, len(known), *quartiles, stated, *of_range))
+        floor = efficiency_with_truth(known).median_ratio
+        cells = (len(known), *quartiles, floor, stated, *of_range)
+        rows.append((DATASETS[dataset].title, core, *cells))
     return Table("bound", "Position error over Cramer-Rao bound", columns, tuple(rows))
 
 
@@ -209,9 +215,10 @@ def parted(scores: pd.DataFrame) -> Iterator[Parted]:
     """
     shots = scores.groupby(["dataset", "shot_id"]).ngroup()
     for column, label in PARTED_BY.items():
-        numbers = np.arange(len(scores)) if column in _OF_ANSWERS else shots
-        rows = scores.assign(shot_id=numbers)
-        yield Parted(column, label, rows, make_bins(rows, column))
+        is_of_answers = column in _OF_ANSWERS
+        rows = scores.assign(shot_id=np.arange(len(scores)) if is_of_answers else shots)
+        counted = "answer" if is_of_answers else "shot"
+        yield Parted(column, label, rows, make_bins(rows, column), counted)
 
 
 def _errors_of(scores: Scores, dataset: str, detector: str) -> dict[bool, Estimates]:

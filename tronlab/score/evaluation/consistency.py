@@ -102,7 +102,25 @@ def nees_quantiles(shares: ArrayLike, n_shots: int = 1) -> FloatArray:
 
 def efficiency(rows: pd.DataFrame) -> Efficiency:
     """Compare the errors of one core with the Cramer-Rao bounds of its measurements."""
-    _, ratios = _ratios(rows, "bound_m")
+    return _efficiency(rows, "bound_m")
+
+
+def floor_m(rows: pd.DataFrame) -> "pd.Series[float]":
+    """Give the error that a perfect estimator would show in each row, shape (n,).
+
+    An error is estimate minus truth: the bound of the one and the sigma of the other add as
+    squares, for they are independent. NaN where either is not known.
+    """
+    return (rows["bound_m"] ** 2 + rows["sigma_truth_m"] ** 2) ** 0.5
+
+
+def efficiency_with_truth(rows: pd.DataFrame) -> Efficiency:
+    """Compare the errors of one core with what a perfect estimator would show."""
+    return _efficiency(rows.assign(floor_m=floor_m(rows)), "floor_m")
+
+
+def _efficiency(rows: pd.DataFrame, of: str) -> Efficiency:
+    _, ratios = _ratios(rows, of)
     rms = float(np.sqrt((ratios**2).mean())) if ratios.size else np.nan
     return Efficiency(int(ratios.size), rms, _median(ratios))
 

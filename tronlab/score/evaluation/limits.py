@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 
 from tronlab.score.evaluation.ablation import METRIC, PARTS
-from tronlab.score.evaluation.consistency import efficiency
+from tronlab.score.evaluation.consistency import efficiency, floor_m
 
 
 def limits_table(
@@ -26,7 +26,9 @@ def limits_table(
         ``mean_pct_los`` of the error; medians ``bound_pct_los`` of the Cramer-Rao bound and
         ``truth_sigma_pct_los`` of the truth's own sigma; quartiles of error over bound,
         ``error_over_bound_q25``, ``_median`` and ``_q75``, and of error over the truth's sigma
-        ``error_over_truth_median``; ``bound_rho``, the rank correlation of error and bound over the
+        ``error_over_truth_median``; ``floor_pct_los``, the median of what a perfect estimator would
+        show, bound and truth together, and quartiles of error over it, ``error_over_floor_q25``,
+        ``_median`` and ``_q75``; ``bound_rho``, the rank correlation of error and bound over the
         shots; ``none_over_bound``, the median of error over bound where no source of error is left;
         ``share_PART``, and ``largest`` if one of them certainly is. What the ablation did not look
         at is NaN, and ``largest`` empty.
@@ -50,6 +52,7 @@ def _errors(rows: pd.DataFrame) -> dict[str, float]:
     error_m = solved["position_error_m"]
     to_pct_los = 100.0 / solved["range_los_m"]
     over_bound = error_m / solved["bound_m"]
+    over_floor = error_m / floor_m(solved)
     return {
         "n": int(rows["shot_id"].nunique()),
         "n_solved": len(solved),
@@ -60,6 +63,10 @@ def _errors(rows: pd.DataFrame) -> dict[str, float]:
         "error_over_bound_q25": _quantile(over_bound, 0.25),
         "error_over_bound_median": _quantile(over_bound, 0.5),
         "error_over_bound_q75": _quantile(over_bound, 0.75),
+        "floor_pct_los": _quantile(floor_m(solved) * to_pct_los, 0.5),
+        "error_over_floor_q25": _quantile(over_floor, 0.25),
+        "error_over_floor_median": _quantile(over_floor, 0.5),
+        "error_over_floor_q75": _quantile(over_floor, 0.75),
         "error_over_truth_median": _quantile(error_m / solved["sigma_truth_m"], 0.5),
         "bound_rho": _rank_correlation(solved[METRIC], solved["bound_m"] * to_pct_los),
     }
