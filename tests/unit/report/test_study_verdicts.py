@@ -158,6 +158,7 @@ def test_every_miss_of_the_bound_is_said_with_the_dearest_source(results):
     assert "dataset 1" in found.case + found.others[0]
     (sentence,) = bound_shortfalls(missed)
     assert sentence.startswith("akaze-refined misses")
+    assert sentence.count("times bound, truth and registration together") == 2
     assert "no sources of error were switched off" in sentence
     ablation = pd.DataFrame(
         [
